@@ -1,0 +1,65 @@
+//! The one error type of the core: every variant carries the offending ids and values.
+
+use thiserror::Error;
+
+/// What can be wrong with a mesh, an array or a parameter.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum GeomError {
+    /// The mesh has no face to work on.
+    #[error("the mesh has no faces")]
+    EmptyMesh,
+    /// A face names a vertex that does not exist.
+    #[error("face {face_id} refers to vertex {vertex_id}, but the mesh has {n_vertices} vertices")]
+    IndexOutOfRange {
+        /// The face that holds the index.
+        face_id: usize,
+        /// The index as given.
+        vertex_id: i64,
+        /// How many vertices there are.
+        n_vertices: usize,
+    },
+    /// A vertex has a NaN or infinite coordinate.
+    #[error("vertex {vertex_id} has a coordinate that is NaN or infinite")]
+    NonFiniteVertex {
+        /// The first such vertex.
+        vertex_id: usize,
+    },
+    /// Two arrays that belong together differ in length.
+    #[error("{what} has length {got}, expected {expected}")]
+    LengthMismatch {
+        /// Which array.
+        what: &'static str,
+        /// The length it should have.
+        expected: usize,
+        /// The length it has.
+        got: usize,
+    },
+    /// A parameter lies outside its allowed range.
+    #[error("{name} is {value}, allowed: {allowed}")]
+    InvalidParameter {
+        /// The parameter's name as in the public interface.
+        name: &'static str,
+        /// The value given.
+        value: String,
+        /// The allowed values in words.
+        allowed: &'static str,
+    },
+    /// More items than 32-bit ids can number.
+    #[error("{count} {what} are too many, the limit is {limit}")]
+    TooLarge {
+        /// What there is too much of.
+        what: &'static str,
+        /// How many there are.
+        count: usize,
+        /// How many there may be.
+        limit: usize,
+    },
+}
+
+/// A result whose error is a [`GeomError`].
+pub type Result<T> = std::result::Result<T, GeomError>;
+
+/// Returns [`GeomError::LengthMismatch`] unless `got == expected`.
+pub fn check_len(what: &'static str, expected: usize, got: usize) -> Result<()> {
+    if expected == got { Ok(()) } else { Err(GeomError::LengthMismatch { what, expected, got }) }
+}

@@ -1,0 +1,38 @@
+//! Geometry core of gcnd, feature-preserving mesh denoising after *GCN-Denoiser* (Shen et al., ACM TOG 2022).
+//!
+//! Coordinates are `f64`, ids are `u32`, every loop over faces or vertices is parallel, and one thread and
+//! many give bit-identical results. The crate knows no Python, reads no files and prints nothing.
+//!
+//! The pipeline, in the order in which a mesh passes through it:
+//!
+//! | step | module | paper |
+//! |---|---|---|
+//! | validate, weld | [`mesh`] | – |
+//! | adjacency, once | [`topology`] | – |
+//! | normals, centroids, areas | [`face_geometry`] | Sec. 4 |
+//! | aligned patch graphs | [`patch`] | Sec. 4, Eqs. 1–3 |
+//! | the network's CPU kernels | [`kernels`] | Sec. 5.1, Eq. 4 |
+//! | normal refinement | [`normals`] | Sec. 6.1, Eq. 5 |
+//! | vertex updating | [`vertex_update`] | Sec. 6.2, Eq. 6 |
+//! | E_a, E_v | [`metrics`] | Sec. 7.2, Eqs. 7–8 |
+//!
+//! [`remesh`] makes training shapes: isotropic triangles with sharp edges kept.
+
+pub mod csr;
+pub mod error;
+pub mod face_geometry;
+#[doc(hidden)]
+pub mod fixtures;
+pub mod kernels;
+pub mod mesh;
+pub mod metrics;
+pub mod normals;
+pub mod patch;
+pub mod remesh;
+pub mod topology;
+pub mod vertex_update;
+
+pub use error::{GeomError, Result};
+pub use glam::{DMat3, DVec3};
+pub use mesh::Face;
+pub use topology::Topology;

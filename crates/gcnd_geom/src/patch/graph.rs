@@ -1,0 +1,110 @@
+//! The graph of a patch (paper Sec. 4.3): node features and static neighbours.
+
+use super::id_slots::{IdSlots, NO_SLOT};
+use super::select::Candidate;
+use super::voting::LocalFace;
+use crate::mesh::Face;
+use crate::topology::Topology;
+use glam::{DMat3, DVec3};
+
+/// The slices of one patch in the output arrays; see [`super::PatchBuffers`].
+pub(crate) struct PatchRow<'a> {
+    pub(crate) features: &'a mut [f32],
+    pub(crate) neighbors: &'a mut [i32],
+    pub(crate) face_ids: &'a mut [u32],
+    pub(crate) mask: &'a mut [u8],
+}
+
+/// What the nodes of one patch are computed from.
+pub(crate) struct PatchView<'a> {
+    pub(crate) topology: &'a Topology,
+    pub(crate) vertices: &'a [DVec3],
+    pub(crate) centroids: &'a [DVec3],
+    /// The faces of the patch, the centre first, and the same faces in the units of the patch.
+    pub(crate) candidates: &'a [Candidate],
+    pub(crate) locals: &'a [LocalFace],
+    /// Indices into `candidates`, one per node; the first `n_real` are distinct.
+    pub(crate) picks: &'a [u32],
+    pub(crate) n_real: usize,
+    /// Eq. 1's r, `None` for a patch without one.
+    pub(crate) radius: Option<f64>,
+    pub(crate) world_from_patch: DMat3,
+}
+
+/// Writes features, neighbours, face ids and mask of every node, repeats included.
+///
+/// `node_of_face` must hold the faces of the patch; their slots are set here.
+pub(crate) fn write_graph(view: &PatchView<'_>, node_of_face: &mut IdSlots, row: PatchRow<'_>) {
+    let n_nodes = view.picks.len();
+    let n_channels = row.features.len() / n_nodes;
+    for (node, &pick) in view.picks[..view.n_real].iter().enumerate() {
+        let face_id = view.candidates[pick as usize].face_id;
+        node_of_face.set_slot(face_id, node as u32);
+        row.face_ids[node] = face_id;
+    }
+    for node in 0..view.n_real {
+        let features = &mut row.features[node * n_channels..(node + 1) * n_channels];
+        write_features(view, row.face_ids[node], &view.locals[view.picks[node] as usize], features);
+        let neighbors = &mut row.neighbors[node * 3..node * 3 + 3];
+        neighbors.fill(node as i32);
+        let present = view
+            .topology
+            .edge_neighbors(row.face_ids[node] as usize)
+            .iter()
+            .map(|&face_id| node_of_face.slot(face_id))
+            .filter(|&slot| slot != NO_SLOT);
+        neighbors.iter_mut().zip(present).for_each(|(neighbor, slot)| *neighbor = slot as i32);
+    }
+    for node in view.n_real..n_nodes {
+        let repeated = view.picks[node] as usize;
+        row.features.copy_within(repeated * n_channels..(repeated + 1) * n_channels, node * n_channels);
+        row.neighbors.copy_within(repeated * 3..repeated * 3 + 3, node * 3);
+        row.face_ids[node] = row.face_ids[repeated];
+    }
+    row.mask[..view.n_real].fill(1);
+    row.mask[view.n_real..].fill(0);
+}
+
+/// Channels: centroid (3), normal (3), area (1), degree (1), and three vertex offsets (9) where there is room.
+#[inline]
+fn write_features(view: &PatchView<'_>, face_id: u32, local: &LocalFace, features: &mut [f32]) {
+    let to_patch = |v: DVec3| {
+        let axes = &view.world_from_patch;
+        [v.dot(axes.x_axis), v.dot(axes.y_axis), v.dot(axes.z_axis)].map(to_f32)
+    };
+    features[0..3].copy_from_slice(&to_patch(local.offset));
+    features[3..6].copy_from_slice(&to_patch(local.normal));
+    features[6] = to_f32(local.area);
+    features[7] = view.topology.edge_neighbors(face_id as usize).len() as f32 / 3.0;
+    if features.len() == 17 {
+        let offsets = vertex_offsets(view, face_id);
+        for (corner, offset) in offsets.into_iter().enumerate() {
+            features[8 + 3 * corner..11 + 3 * corner].copy_from_slice(&to_patch(offset));
+        }
+    }
+}
+
+/// (v − c_j) / r of the three vertices in the face's own order, started at the vertex nearest to the patch
+/// centre, so that it does not matter which vertex the file names first.
+#[inline]
+fn vertex_offsets(view: &PatchView<'_>, face_id: u32) -> [DVec3; 3] {
+    let Some(radius) = view.radius else { return [DVec3::ZERO; 3] };
+    let face: Face = view.topology.faces()[face_id as usize];
+    let corners = face.map(|vertex_id| view.vertices[vertex_id as usize]);
+    let center = view.centroids[view.candidates[0].face_id as usize];
+    let squared = corners.map(|corner| corner.distance_squared(center));
+    let mut first = 0;
+    for corner in 1..3 {
+        if squared[corner] < squared[first] {
+            first = corner;
+        }
+    }
+    let (centroid, scale) = (view.centroids[face_id as usize], radius.recip());
+    [0, 1, 2].map(|step| (corners[(first + step) % 3] - centroid) * scale)
+}
+
+/// Rounds to `f32`; a sliver's feature beyond its range becomes the largest finite number.
+#[inline]
+fn to_f32(x: f64) -> f32 {
+    (x as f32).clamp(f32::MIN, f32::MAX)
+}

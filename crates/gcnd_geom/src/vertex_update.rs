@@ -1,0 +1,194 @@
+//! Vertex updating: moves vertices until the faces are as perpendicular to given normals as they can be
+//! (paper Sec. 6.2, Eq. 6).
+
+use crate::error::{Result, check_len};
+use crate::mesh::check_vertices;
+use crate::normals::refine::unit_normals;
+use crate::topology::Topology;
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Moves every vertex towards the planes of its faces, `iterations` times:
+/// v_i ← v_i + 1 / (3 |F_i|) · Σ_{f ∈ F_i} Σ_{edges (v_i, v_j) of f} n_f · (n_f · (v_j − v_i)).
+///
+/// - `topology`, `vertices` (V), in mesh units.
+/// - `normals` (F): the denoised face normals in the frame of `vertices`, of any length; a face whose normal
+///   is zero pulls at nothing, but counts in |F_i|.
+/// - `iterations`: the paper takes 15; 0 returns the vertices as they are.
+///
+/// Returns (V) new positions, in mesh units. Faces, and the positions of vertices without faces, stay.
+/// All vertices of an iteration move at once, from the positions of the one before; those on a boundary move
+/// like the others.
+///
+/// # Errors
+/// [`crate::GeomError::LengthMismatch`], [`crate::GeomError::NonFiniteVertex`], or
+/// [`crate::GeomError::InvalidParameter`] for a normal that is NaN or infinite.
+///
+/// Paper: Sec. 6.2, Eq. 6 (Sun et al. 2007).
+/// Choice: docs/choices.md#faces-without-normal, docs/choices.md#boundary-vertices.
+///
+/// ```
+/// use gcnd_geom::{fixtures, vertex_update::update_vertices, DVec3, Topology};
+/// let (mut vertices, faces) = fixtures::grid(4, 4);
+/// vertices[12].z = 0.5;
+/// let normals = vec![DVec3::Z; faces.len()];
+/// let topology = Topology::new(faces, vertices.len())?;
+/// let updated = update_vertices(&topology, &vertices, &normals, 15)?;
+/// assert!(updated[12].z < 0.1 && updated[12].truncate() == vertices[12].truncate());
+/// # Ok::<(), gcnd_geom::GeomError>(())
+/// ```
+pub fn update_vertices(
+    topology: &Topology,
+    vertices: &[DVec3],
+    normals: &[DVec3],
+    iterations: usize,
+) -> Result<Vec<DVec3>> {
+    check_len("vertices", topology.n_vertices(), vertices.len())?;
+    check_vertices(vertices)?;
+    let normals = unit_normals(normals, topology.n_faces())?;
+    let mut planes: Vec<Plane> = normals.into_iter().map(|normal| Plane { normal, offset: 0.0 }).collect();
+    let mut current = vertices.to_vec();
+    let mut next = current.clone();
+    for _ in 0..iterations {
+        place_planes(topology, &current, &mut planes);
+        step(topology, &current, &planes, &mut next);
+        std::mem::swap(&mut current, &mut next);
+    }
+    Ok(current)
+}
+
+/// The plane through a face's centroid across its given normal: n · x = offset.
+#[derive(Clone, Copy)]
+struct Plane {
+    normal: DVec3,
+    offset: f64,
+}
+
+/// Vertices or faces of one unit of parallel work.
+const CHUNK: usize = 4096;
+
+fn place_planes(topology: &Topology, vertices: &[DVec3], planes: &mut [Plane]) {
+    planes.par_iter_mut().zip(topology.faces()).with_min_len(CHUNK).for_each(|(plane, face)| {
+        let [a, b, c] = face.map(|v| vertices[v as usize]);
+        plane.offset = plane.normal.dot(a + ((b - a) + (c - a)) / 3.0);
+    });
+}
+
+/// One iteration of Eq. 6.
+///
+/// The two edges of a face at v_i add up to (v_a − v_i) + (v_b − v_i) = 3 (c − v_i), so the sum over them,
+/// over 3, is n (n · c − n · v_i): the way to the face's plane, and one record is read per face.
+fn step(topology: &Topology, current: &[DVec3], planes: &[Plane], next: &mut [DVec3]) {
+    let vertex_faces = topology.vertex_faces();
+    next.par_iter_mut().zip(current).enumerate().with_min_len(CHUNK).for_each(|(vertex_id, (moved, &v))| {
+        let row = vertex_faces.row(vertex_id);
+        let mut sum = DVec3::ZERO;
+        for &face_id in row {
+            let Plane { normal, offset } = planes[face_id as usize];
+            sum += normal * (offset - normal.dot(v));
+        }
+        *moved = if row.is_empty() { v } else { v + sum / row.len() as f64 };
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::GeomError;
+    use crate::face_geometry::FaceGeometry;
+    use crate::fixtures;
+
+    fn updated(
+        (vertices, faces): fixtures::MeshParts,
+        normals: &[DVec3],
+        iterations: usize,
+    ) -> Result<Vec<DVec3>> {
+        update_vertices(&Topology::new(faces, vertices.len())?, &vertices, normals, iterations)
+    }
+
+    /// Eq. 6 as it stands, edge by edge.
+    fn step_by_edges(vertices: &[DVec3], faces: &[[u32; 3]], normals: &[DVec3]) -> Vec<DVec3> {
+        let mut sums = vec![(DVec3::ZERO, 0.0); vertices.len()];
+        for (face, &n) in faces.iter().zip(normals) {
+            for (corner, &i) in face.iter().enumerate() {
+                for other in [face[(corner + 1) % 3], face[(corner + 2) % 3]] {
+                    sums[i as usize].0 += n * n.dot(vertices[other as usize] - vertices[i as usize]);
+                }
+                sums[i as usize].1 += 1.0;
+            }
+        }
+        let moved = |(v, (sum, count)): (&DVec3, (DVec3, f64))| *v + sum / (3.0 * f64::max(count, 1.0));
+        vertices.iter().zip(sums).map(moved).collect()
+    }
+
+    #[test]
+    fn one_face_one_step_by_hand() {
+        // n = z, heights 0, 0, 3: each vertex goes to the mean height in one step.
+        let vertices = vec![DVec3::ZERO, DVec3::X, DVec3::new(0.0, 1.0, 3.0), DVec3::splat(7.0)];
+        let moved = updated((vertices, vec![[0, 1, 2]]), &[DVec3::Z], 1).expect("valid");
+        let expected =
+            [DVec3::new(0., 0., 1.), DVec3::new(1., 0., 1.), DVec3::new(0., 1., 1.), DVec3::splat(7.0)];
+        assert_eq!(moved, expected, "the vertex without faces stays");
+    }
+
+    #[test]
+    fn equals_the_sum_over_edges() {
+        let (mut vertices, faces) = fixtures::icosphere(2);
+        fixtures::jitter(&mut vertices, 0.1, 3);
+        let normals: Vec<DVec3> = FaceGeometry::compute(&fixtures::icosphere(2).0, &faces).normals;
+        let expected = step_by_edges(&vertices, &faces, &normals);
+        let moved = updated((vertices, faces), &normals, 1).expect("valid");
+        for (a, b) in moved.iter().zip(&expected) {
+            assert!(a.distance(*b) < 1e-15, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn iterations_bring_a_spike_back_to_the_plane() {
+        let (mut vertices, faces) = fixtures::grid(6, 6);
+        vertices[24].z = 1.0;
+        let normals = vec![DVec3::Z; faces.len()];
+        let spread = |v: &[DVec3]| {
+            let mean = v.iter().map(|v| v.z).sum::<f64>() / v.len() as f64;
+            v.iter().map(|v| (v.z - mean).abs()).fold(0.0, f64::max)
+        };
+        let after = |iterations| {
+            spread(&updated((vertices.clone(), faces.clone()), &normals, iterations).expect("valid"))
+        };
+        assert!(after(1) < 0.5 && after(15) < 0.1 && after(500) < 1e-3);
+        assert_eq!(after(0), spread(&vertices));
+    }
+
+    #[test]
+    fn a_zero_normal_pulls_at_nothing_but_counts() {
+        let (mut vertices, faces) = fixtures::two_triangles();
+        vertices[0].z = 3.0;
+        let moved = updated((vertices.clone(), faces), &[DVec3::Z, DVec3::ZERO], 1).expect("valid");
+        let heights: Vec<f64> = moved.iter().map(|v| v.z).collect();
+        assert_eq!(heights, [1.0, 0.5, 0.5, 1.0], "vertices 1 and 2 have two faces, one of them silent");
+    }
+
+    #[test]
+    fn the_length_of_a_normal_does_not_matter() {
+        let (mut vertices, faces) = fixtures::grid(3, 3);
+        fixtures::jitter(&mut vertices, 0.2, 1);
+        let update = |n| updated((vertices.clone(), faces.clone()), &vec![n; faces.len()], 5).expect("valid");
+        assert_eq!(update(DVec3::Z), update(DVec3::Z * 1e-200));
+    }
+
+    #[test]
+    fn guards() {
+        let (vertices, faces) = fixtures::tetrahedron();
+        let error = updated((vertices.clone(), faces.clone()), &[DVec3::Z; 3], 1).unwrap_err();
+        assert_eq!(error, GeomError::LengthMismatch { what: "normals", expected: 4, got: 3 });
+        let error = updated((vertices.clone(), faces.clone()), &[DVec3::NAN; 4], 1).unwrap_err();
+        assert!(matches!(error, GeomError::InvalidParameter { name: "normals", .. }), "{error}");
+        let topology = Topology::new(faces.clone(), 4).expect("valid");
+        let error = update_vertices(&topology, &vertices[..3], &[DVec3::Z; 4], 1).unwrap_err();
+        assert_eq!(error, GeomError::LengthMismatch { what: "vertices", expected: 4, got: 3 });
+        let mut broken = vertices;
+        broken[2].y = f64::INFINITY;
+        let error = updated((broken, faces), &[DVec3::Z; 4], 1).unwrap_err();
+        assert_eq!(error, GeomError::NonFiniteVertex { vertex_id: 2 });
+    }
+}

@@ -1,0 +1,27 @@
+//! Core errors as the package's Python exceptions.
+
+use gcnd_geom::GeomError;
+use pyo3::{PyErr, PyResult};
+
+pyo3::import_exception!(gcnd.errors, MeshError);
+pyo3::import_exception!(gcnd.errors, ConfigError);
+
+/// Turns a core error into `MeshError` or, for parameters and array lengths, `ConfigError`.
+pub fn to_python(error: &GeomError) -> PyErr {
+    let message = error.to_string();
+    match error {
+        GeomError::InvalidParameter { .. } | GeomError::LengthMismatch { .. } => ConfigError::new_err(message),
+        _ => MeshError::new_err(message),
+    }
+}
+
+/// Adds the conversion to every core result.
+pub trait IntoPython<T> {
+    fn into_python(self) -> PyResult<T>;
+}
+
+impl<T> IntoPython<T> for gcnd_geom::Result<T> {
+    fn into_python(self) -> PyResult<T> {
+        self.map_err(|error| to_python(&error))
+    }
+}

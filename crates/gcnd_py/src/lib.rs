@@ -1,0 +1,25 @@
+//! `gcnd._geom`: checks arrays, releases the GIL, calls one core function. No loop over faces here.
+#![allow(missing_docs, reason = "the Python stub `_geom.pyi` documents this module")]
+
+mod arrays;
+mod errors;
+mod filters;
+mod kernels;
+mod mesh;
+mod patches;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+mod _geom {
+    #[pymodule_export]
+    use super::filters::{mean_edge_length, normal_angles, refine_normals, remesh, update_vertices, vertex_error};
+    #[pymodule_export]
+    use super::kernels::{
+        edge_max_leaky, gather_max, gather_max_argmax, gather_max_backward, gather_sum, gather_sum_backward, knn,
+    };
+    #[pymodule_export]
+    use super::mesh::{PyTopology, face_geometry, validate, weld};
+    #[pymodule_export]
+    use super::patches::{PyNormalAccumulator, PyPatchExtractor, classify_faces, cover_centers};
+}

@@ -1,0 +1,78 @@
+//! Validation, welding, adjacency and face geometry.
+
+use crate::arrays::{self, Faces, Points};
+use crate::errors::IntoPython;
+use gcnd_geom::face_geometry::FaceGeometry;
+use gcnd_geom::{Topology, mesh};
+use numpy::{IntoPyArray, PyArray1, PyArray2};
+use pyo3::prelude::*;
+use std::sync::Arc;
+
+#[pyclass(name = "Topology", module = "gcnd._geom", frozen)]
+pub struct PyTopology {
+    pub inner: Arc<Topology>,
+}
+
+#[pymethods]
+impl PyTopology {
+    #[new]
+    fn new(py: Python<'_>, faces: Faces<'_>, n_vertices: usize) -> PyResult<Self> {
+        let faces = arrays::faces(&faces)?.to_vec();
+        let inner = py.detach(|| Topology::new(faces, n_vertices)).into_python()?;
+        Ok(Self { inner: Arc::new(inner) })
+    }
+
+    #[getter]
+    fn n_faces(&self) -> usize {
+        self.inner.n_faces()
+    }
+
+    #[getter]
+    fn n_vertices(&self) -> usize {
+        self.inner.n_vertices()
+    }
+
+    fn edge_neighbors<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<u64>>, Bound<'py, PyArray1<u32>>) {
+        let rows = self.inner.edge_neighbor_rows();
+        (rows.offsets().to_vec().into_pyarray(py), rows.values().to_vec().into_pyarray(py))
+    }
+
+    fn vertex_faces<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<u64>>, Bound<'py, PyArray1<u32>>) {
+        let rows = self.inner.vertex_faces();
+        (rows.offsets().to_vec().into_pyarray(py), rows.values().to_vec().into_pyarray(py))
+    }
+}
+
+#[pyfunction]
+pub fn validate(py: Python<'_>, vertices: Points<'_>, faces: Faces<'_>) -> PyResult<()> {
+    let (vertices, faces) = (arrays::points("vertices", &vertices)?, arrays::faces(&faces)?);
+    py.detach(|| mesh::validate(vertices, faces)).into_python()
+}
+
+type WeldArrays<'py> = (Bound<'py, PyArray1<u32>>, Bound<'py, PyArray1<u32>>);
+
+#[pyfunction]
+pub fn weld<'py>(py: Python<'py>, vertices: Points<'py>) -> PyResult<WeldArrays<'py>> {
+    let vertices = arrays::points("vertices", &vertices)?;
+    let weld = py.detach(|| mesh::weld(vertices));
+    Ok((weld.representatives.into_pyarray(py), weld.welded_from_input.into_pyarray(py)))
+}
+
+type GeometryArrays<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<f64>>);
+
+#[pyfunction]
+pub fn face_geometry<'py>(
+    py: Python<'py>,
+    vertices: Points<'py>,
+    faces: Faces<'py>,
+) -> PyResult<GeometryArrays<'py>> {
+    let (vertices, faces) = (arrays::points("vertices", &vertices)?, arrays::faces(&faces)?);
+    let geometry = py
+        .detach(|| mesh::check_faces(faces, vertices.len()).map(|()| FaceGeometry::compute(vertices, faces)))
+        .into_python()?;
+    Ok((
+        arrays::triples(py, geometry.normals)?,
+        arrays::triples(py, geometry.centroids)?,
+        geometry.areas.into_pyarray(py),
+    ))
+}

@@ -1,0 +1,211 @@
+//! Patch extraction, covering and averaging.
+
+use crate::arrays::{self, Points, slice, slice_mut};
+use crate::errors::{ConfigError, IntoPython};
+use crate::mesh::PyTopology;
+use gcnd_geom::patch::{self, Budget, NormalAccumulator, PatchBuffers, PatchExtractor, PatchParams, VotingRegion};
+use gcnd_geom::{DVec3, Topology};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArrayDyn, PyReadwriteArrayDyn, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use std::sync::{Arc, Mutex};
+
+struct Mesh {
+    topology: Arc<Topology>,
+    vertices: Vec<DVec3>,
+}
+
+self_cell::self_cell!(
+    struct ExtractorCell {
+        owner: Mesh,
+        #[covariant]
+        dependent: PatchExtractor,
+    }
+);
+
+#[pyclass(name = "PatchExtractor", module = "gcnd._geom", frozen)]
+pub struct PyPatchExtractor {
+    cell: ExtractorCell,
+}
+
+fn voting_region_from(name: &str) -> PyResult<VotingRegion> {
+    match name {
+        "patch" => Ok(VotingRegion::Patch),
+        "two_ring" => Ok(VotingRegion::TwoRing),
+        _ => Err(ConfigError::new_err(format!("voting_region is {name}, allowed: patch or two_ring"))),
+    }
+}
+
+fn budget_from(name: &str, seed: u64) -> PyResult<Budget> {
+    match name {
+        "nearest" => Ok(Budget::NearestFirst),
+        "random" => Ok(Budget::Random { seed }),
+        _ => Err(ConfigError::new_err(format!("budget is {name}, allowed: nearest or random"))),
+    }
+}
+
+#[pymethods]
+impl PyPatchExtractor {
+    #[new]
+    #[pyo3(signature = (topology, vertices, *, patch_scale=4.0, n_nodes=64, budget="nearest", seed=0,
+                        voting_region="patch", sigma_vote=1.0 / 3.0, vertex_offsets=true))]
+    #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
+    fn new(
+        py: Python<'_>,
+        topology: &PyTopology,
+        vertices: Points<'_>,
+        patch_scale: f64,
+        n_nodes: usize,
+        budget: &str,
+        seed: u64,
+        voting_region: &str,
+        sigma_vote: f64,
+        vertex_offsets: bool,
+    ) -> PyResult<Self> {
+        let params = PatchParams {
+            patch_scale,
+            n_nodes,
+            budget: budget_from(budget, seed)?,
+            voting_region: voting_region_from(voting_region)?,
+            sigma_vote,
+            vertex_offsets,
+        };
+        let vertices = arrays::points("vertices", &vertices)?.to_vec();
+        let mesh = Mesh { topology: Arc::clone(&topology.inner), vertices };
+        let cell = py
+            .detach(|| {
+                ExtractorCell::try_new(mesh, |mesh| PatchExtractor::new(&mesh.topology, &mesh.vertices, params))
+            })
+            .into_python()?;
+        Ok(Self { cell })
+    }
+
+    #[getter]
+    fn n_channels(&self) -> usize {
+        self.cell.borrow_dependent().n_channels()
+    }
+
+    fn normals<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        arrays::triples(py, self.cell.borrow_dependent().geometry().normals.clone())
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "one argument a buffer")]
+    fn extract(
+        &self,
+        py: Python<'_>,
+        centers: PyReadonlyArray1<'_, u32>,
+        mut features: PyReadwriteArrayDyn<'_, f32>,
+        mut neighbors: PyReadwriteArrayDyn<'_, i32>,
+        mut face_ids: PyReadwriteArrayDyn<'_, u32>,
+        mut mask: PyReadwriteArrayDyn<'_, u8>,
+        mut world_from_patch: PyReadwriteArrayDyn<'_, f64>,
+        mut radii: PyReadwriteArrayDyn<'_, f64>,
+    ) -> PyResult<()> {
+        let centers = centers
+            .as_slice()
+            .map_err(|_| ConfigError::new_err("centers must be a contiguous array in C order"))?;
+        let out = PatchBuffers {
+            features: slice_mut("features", &mut features)?,
+            neighbors: slice_mut("neighbors", &mut neighbors)?,
+            face_ids: slice_mut("face_ids", &mut face_ids)?,
+            mask: slice_mut("mask", &mut mask)?,
+            world_from_patch: slice_mut("world_from_patch", &mut world_from_patch)?,
+            radii: slice_mut("radii", &mut radii)?,
+        };
+        let extractor = self.cell.borrow_dependent();
+        py.detach(|| extractor.extract(centers, out)).into_python()
+    }
+}
+
+#[pyfunction]
+pub fn cover_centers(
+    py: Python<'_>,
+    n_faces: usize,
+    patches_per_face: f64,
+    seed: u64,
+) -> PyResult<Bound<'_, PyArray1<u32>>> {
+    if !(patches_per_face > 0.0 && patches_per_face <= 1.0) {
+        let message = format!("patches_per_face is {patches_per_face}, allowed: above 0, at most 1");
+        return Err(ConfigError::new_err(message));
+    }
+    Ok(patch::cover_centers(n_faces, patches_per_face, seed).into_pyarray(py))
+}
+
+#[pyfunction]
+#[pyo3(signature = (topology, vertices, *, patch_scale=4.0, sigma_vote=1.0 / 3.0))]
+pub fn classify_faces<'py>(
+    py: Python<'py>,
+    topology: &PyTopology,
+    vertices: Points<'py>,
+    patch_scale: f64,
+    sigma_vote: f64,
+) -> PyResult<Bound<'py, PyArray1<u8>>> {
+    let params = PatchParams { patch_scale, sigma_vote, ..PatchParams::default() };
+    let vertices = arrays::points("vertices", &vertices)?;
+    let classes = py.detach(|| patch::classify_faces(&topology.inner, vertices, params)).into_python()?;
+    Ok(classes.into_iter().map(|class| class as u8).collect::<Vec<_>>().into_pyarray(py))
+}
+
+#[pyclass(name = "NormalAccumulator", module = "gcnd._geom", frozen)]
+pub struct PyNormalAccumulator {
+    inner: Mutex<NormalAccumulator>,
+}
+
+#[pymethods]
+impl PyNormalAccumulator {
+    #[new]
+    fn new(n_faces: usize) -> Self {
+        Self { inner: Mutex::new(NormalAccumulator::new(n_faces)) }
+    }
+
+    fn add_nodes(
+        &self,
+        features: PyReadonlyArrayDyn<'_, f32>,
+        face_ids: PyReadonlyArrayDyn<'_, u32>,
+        mask: PyReadonlyArrayDyn<'_, u8>,
+        world_from_patch: PyReadonlyArrayDyn<'_, f64>,
+        predicted: PyReadonlyArrayDyn<'_, f32>,
+    ) -> PyResult<()> {
+        let n_channels = features.shape().last().copied().unwrap_or(0);
+        self.lock()
+            .add(
+                slice("face_ids", &face_ids)?,
+                slice("mask", &mask)?,
+                slice("predicted", &predicted)?,
+                slice("features", &features)?,
+                n_channels,
+                slice("world_from_patch", &world_from_patch)?,
+            )
+            .into_python()
+    }
+
+    fn add_centers(
+        &self,
+        centers: PyReadonlyArrayDyn<'_, u32>,
+        world_from_patch: PyReadonlyArrayDyn<'_, f64>,
+        predicted: PyReadonlyArrayDyn<'_, f32>,
+    ) -> PyResult<()> {
+        self.lock()
+            .add_centers(
+                slice("centers", &centers)?,
+                slice("predicted", &predicted)?,
+                slice("world_from_patch", &world_from_patch)?,
+            )
+            .into_python()
+    }
+
+    fn uncovered<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u32>> {
+        self.lock().uncovered().into_pyarray(py)
+    }
+
+    fn normals<'py>(&self, py: Python<'py>, fallback: Points<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let normals = self.lock().normals(arrays::points("fallback", &fallback)?).into_python()?;
+        arrays::triples(py, normals)
+    }
+}
+
+impl PyNormalAccumulator {
+    /// A poisoned lock only means that another thread panicked; the sums it guards are plain numbers.
+    fn lock(&self) -> std::sync::MutexGuard<'_, NormalAccumulator> {
+        self.inner.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,156 @@
+"""The binding of the Rust core ``gcnd_geom``: arrays in, arrays out, the GIL released.
+
+Points are float64 (n, 3), faces uint32 (n, 3), all contiguous in C order. Errors are ``gcnd.errors.MeshError`` and,
+for parameters and array shapes, ``gcnd.errors.ConfigError``. Formulas and sources stand in the core's own docs.
+"""
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Points = NDArray[np.float64]
+Faces = NDArray[np.uint32]
+Ids = NDArray[np.uint32]
+
+class Topology:
+    """Adjacency of a mesh, built once: vertex → faces and face → faces across an edge."""
+
+    def __init__(self, faces: Faces, n_vertices: int) -> None: ...
+    @property
+    def n_faces(self) -> int: ...
+    @property
+    def n_vertices(self) -> int: ...
+    def edge_neighbors(self) -> tuple[NDArray[np.uint64], Ids]:
+        """Compressed rows: the neighbours of face i are ids[offsets[i]:offsets[i + 1]]."""
+
+    def vertex_faces(self) -> tuple[NDArray[np.uint64], Ids]:
+        """Compressed rows: the faces of vertex i are ids[offsets[i]:offsets[i + 1]]."""
+
+class PatchExtractor:
+    """Cuts aligned patch graphs from a mesh (paper Sec. 4)."""
+
+    def __init__(
+        self,
+        topology: Topology,
+        vertices: Points,
+        *,
+        patch_scale: float = 4.0,
+        n_nodes: int = 64,
+        budget: Literal["nearest", "random"] = "nearest",
+        seed: int = 0,
+        voting_region: Literal["patch", "two_ring"] = "patch",
+        sigma_vote: float = ...,
+        vertex_offsets: bool = True,
+    ) -> None: ...
+    @property
+    def n_channels(self) -> int: ...
+    def normals(self) -> Points:
+        """The mesh's own unit normals (F, 3); zero for a face without area."""
+
+    def extract(
+        self,
+        centers: Ids,
+        features: NDArray[np.float32],
+        neighbors: NDArray[np.int32],
+        face_ids: NDArray[np.uint32],
+        mask: NDArray[np.uint8],
+        world_from_patch: NDArray[np.float64],
+        radii: NDArray[np.float64],
+    ) -> None:
+        """Fills the buffers (P, N, C), (P, N, 3), (P, N), (P, N), (P, 3, 3), (P,) for P centre faces."""
+
+class NormalAccumulator:
+    """Averages the normals that overlapping patches predict for each face."""
+
+    def __init__(self, n_faces: int) -> None: ...
+    def add_nodes(
+        self,
+        features: NDArray[np.float32],
+        face_ids: NDArray[np.uint32],
+        mask: NDArray[np.uint8],
+        world_from_patch: NDArray[np.float64],
+        predicted: NDArray[np.float32],
+    ) -> None:
+        """Adds (P, N, 3) predictions, patch frame, each with weight exp(−2‖c̄‖²)."""
+
+    def add_centers(
+        self, centers: Ids, world_from_patch: NDArray[np.float64], predicted: NDArray[np.float32]
+    ) -> None:
+        """Adds (P, 3) predictions of the centres, patch frame."""
+
+    def uncovered(self) -> Ids:
+        """Faces that nothing was added for."""
+
+    def normals(self, fallback: Points) -> Points:
+        """Averaged unit normals (F, 3); a face's ``fallback`` where nothing was added."""
+
+def validate(vertices: Points, faces: Faces) -> None: ...
+def weld(vertices: Points) -> tuple[Ids, Ids]:
+    """Returns (first vertex at each distinct position, index into that list for each vertex)."""
+
+def face_geometry(vertices: Points, faces: Faces) -> tuple[Points, Points, NDArray[np.float64]]:
+    """Returns unit normals (F, 3), centroids (F, 3) and areas (F,)."""
+
+def mean_edge_length(vertices: Points, faces: Faces) -> float: ...
+def cover_centers(n_faces: int, patches_per_face: float, seed: int) -> Ids: ...
+def classify_faces(
+    topology: Topology, vertices: Points, *, patch_scale: float = 4.0, sigma_vote: float = ...
+) -> NDArray[np.uint8]:
+    """Classes (F,): 0 flat, 1 edge, 2 corner, 3 transitional (paper Sec. 5.2)."""
+
+def refine_normals(
+    topology: Topology,
+    vertices: Points,
+    normals: Points,
+    *,
+    iterations: int,
+    sigma_r: float = 0.3,
+    sigma_s: float | None = None,
+    neighborhood: Literal["shared_vertex", "shared_edge", "radius"] = "shared_vertex",
+    radius: float = 2.0,
+) -> Points:
+    """Bilateral refinement of normals (Eq. 5)."""
+
+def update_vertices(topology: Topology, vertices: Points, normals: Points, iterations: int) -> Points:
+    """Moves vertices to fit normals (Eq. 6)."""
+
+def normal_angles(result: Points, truth: Points) -> NDArray[np.float64]:
+    """Degrees (F,) between normals; NaN where the truth is zero, 90 where only the result is."""
+
+def vertex_error(
+    result_vertices: Points,
+    result_faces: Faces,
+    truth_vertices: Points,
+    truth_faces: Faces,
+    samples: int,
+    seed: int,
+) -> float: ...
+def remesh(
+    vertices: Points,
+    faces: Faces,
+    target_edge_length: float,
+    *,
+    feature_angle_deg: float = 30.0,
+    iterations: int = 10,
+    sizes: NDArray[np.float64] | None = None,
+) -> tuple[Points, Faces]: ...
+
+# The kernels take float32 arrays, or bfloat16 ones as int16 bit patterns, and write into ``out`` or ``grad``.
+def gather_max(values: NDArray[Any], neighbors: NDArray[np.int32], out: NDArray[Any]) -> None: ...
+def gather_max_argmax(
+    values: NDArray[Any], neighbors: NDArray[np.int32], out: NDArray[Any], argmax: NDArray[np.int16]
+) -> None: ...
+def gather_max_backward(grad_out: NDArray[Any], argmax: NDArray[np.int16], grad: NDArray[Any]) -> None: ...
+def gather_sum(values: NDArray[Any], neighbors: NDArray[np.int32], out: NDArray[Any]) -> None: ...
+def gather_sum_backward(
+    grad_out: NDArray[Any], neighbors: NDArray[np.int32], grad: NDArray[Any]
+) -> None: ...
+def edge_max_leaky(
+    a: NDArray[np.float32],
+    b: NDArray[np.float32],
+    neighbors: NDArray[np.int32],
+    slope: float,
+    out: NDArray[np.float32],
+) -> None: ...
+def knn(features: NDArray[Any], out: NDArray[np.int32]) -> None: ...

@@ -1,0 +1,30 @@
+"""`gcnd info`: what a mesh file holds."""
+
+from __future__ import annotations
+
+from gcnd.cli.options import InputMesh, JsonFlag, print_json, print_table
+
+__all__ = ["run"]
+
+
+def run(input_mesh: InputMesh, as_json: JsonFlag = False) -> None:
+    """Count the vertices, faces and defects of IN."""
+    from gcnd.mesh_info import mesh_info
+    from gcnd.mesh_io import to_arrays
+
+    arrays, _ = to_arrays(input_mesh)
+    info = mesh_info(arrays.vertices, arrays.faces)
+    if as_json:
+        print_json(info)
+    else:
+        print_table({name.replace("_", " "): _text(value) for name, value in info.items()})
+
+
+def _text(value: object) -> str:
+    match value:
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:.6g}"
+        case _:
+            return str(value)

@@ -1,0 +1,1 @@
+"""Noise, procedural shapes and the patches made from them."""

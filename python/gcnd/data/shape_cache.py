@@ -1,0 +1,147 @@
+"""Procedural shapes on disk, so that a training run makes each one once."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from gcnd.data.shapes import SHAPE_KINDS, Shape, ShapeKind, make_shape
+from gcnd.errors import ConfigError
+
+SHAPES_VERSION = 1
+"""Raise when `make_shape` changes what a seed gives: older files are then ignored."""
+
+DEFAULT_KINDS: Mapping[ShapeKind, float] = {"cad": 0.5, "smooth": 0.2, "feature": 0.3}
+"""The shares of the kinds that `load_shapes` makes unless told otherwise."""
+
+
+def shape_path(directory: Path | str, seed: int, kind: ShapeKind) -> Path:
+    """Return where the shape of a seed is kept.
+
+    Example:
+        >>> shape_path("shapes", 7, "cad").name
+        'shape-v1-cad-00000007.npz'
+    """
+    return Path(directory) / f"shape-v{SHAPES_VERSION}-{kind}-{seed:08d}.npz"
+
+
+def load_shapes(
+    n: int,
+    seed: int,
+    directory: Path | str,
+    *,
+    workers: int = 2,
+    kinds: Mapping[ShapeKind, float] = DEFAULT_KINDS,
+) -> list[Shape]:
+    """Return `n` procedural shapes, from disk where they are and made and stored where they are not.
+
+    Shape i has seed ``seed + i``. Its kind follows the shares: every stretch of the list holds each kind about in
+    proportion, so a longer list begins with the shorter one.
+
+    Args:
+        n: How many shapes, >= 0.
+        seed: Seed of the first shape, >= 0.
+        directory: Where the ``.npz`` files lie; made if missing.
+        workers: Processes that make what is missing; 1 works in this process.
+        kinds: Share of each kind, any positive scale; kinds left out are not made.
+
+    Returns:
+        The shapes in seed order.
+
+    Raises:
+        ConfigError: A negative count or seed, fewer than one worker, or shares that are unknown, negative or all 0.
+
+    Choice: docs/choices.md#training-shapes.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     shapes = load_shapes(1, 0, folder, workers=1, kinds={"smooth": 1.0})
+        >>> shapes[0].kind
+        'smooth'
+    """
+    if n < 0 or seed < 0 or workers < 1:
+        message = f"cannot load {n} shapes from seed {seed} with {workers} workers"
+        raise ConfigError(message, hint="n and seed must be >= 0 and workers >= 1")
+    wanted = list(zip(range(seed, seed + n), kind_sequence(n, kinds), strict=True))
+    folder = Path(directory)
+    folder.mkdir(parents=True, exist_ok=True)
+    missing = [job for job in wanted if not shape_path(folder, *job).exists()]
+    _make_all(missing, folder, workers)
+    return [_read(shape_path(folder, *job)) or _make(folder, *job) for job in wanted]
+
+
+def kind_sequence(n: int, kinds: Mapping[ShapeKind, float]) -> list[ShapeKind]:
+    """Return the kinds of `n` shapes, each next the one furthest behind its share.
+
+    Raises:
+        ConfigError: Shares that are unknown, negative, or all 0.
+
+    Example:
+        >>> kind_sequence(4, {"cad": 0.5, "smooth": 0.25, "feature": 0.25})
+        ['cad', 'smooth', 'feature', 'cad']
+    """
+    unknown = [kind for kind in kinds if kind not in SHAPE_KINDS]
+    total = sum(kinds.values())
+    if unknown or not total > 0 or min(kinds.values()) < 0:
+        raise ConfigError(
+            f"shares of shape kinds are {dict(kinds)}", hint=f"give {', '.join(SHAPE_KINDS)} shares >= 0, not all 0"
+        )
+    made = dict.fromkeys(kinds, 0)
+    sequence: list[ShapeKind] = []
+    for i in range(n):
+        kind = max(kinds, key=lambda k: kinds[k] / total * (i + 1) - made[k])
+        made[kind] += 1
+        sequence.append(kind)
+    return sequence
+
+
+def _make_all(jobs: Sequence[tuple[int, ShapeKind]], folder: Path, workers: int) -> None:
+    if workers == 1 or len(jobs) < 2:
+        for seed, kind in jobs:
+            _make(folder, seed, kind)
+        return
+    # A fork would copy locks held by threads of the parent, such as torch's.
+    with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=get_context("spawn")) as pool:
+        futures = [pool.submit(_make_file, folder, seed, kind) for seed, kind in jobs]
+        for future in futures:
+            future.result()
+
+
+def _make_file(folder: Path, seed: int, kind: ShapeKind) -> None:
+    _make(folder, seed, kind)
+
+
+def _make(folder: Path, seed: int, kind: ShapeKind) -> Shape:
+    shape = make_shape(seed, kind)
+    _write(shape_path(folder, seed, kind), shape)
+    return shape
+
+
+def _write(path: Path, shape: Shape) -> None:
+    """Write under another name and rename, so that no reader ever sees half a file."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".shape-", suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(file, name=shape.name, kind=shape.kind, vertices=shape.vertices, faces=shape.faces)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def _read(path: Path) -> Shape | None:
+    """Return the shape in a file, or None if the file is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            kind = next(k for k in SHAPE_KINDS if k == str(data["kind"]))
+            return Shape(str(data["name"]), kind, data["vertices"], data["faces"])
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile, StopIteration):
+        return None

@@ -1,0 +1,343 @@
+"""Procedural machine parts: solids joined to and cut from each other, with the features CAD models have."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from manifold3d import CrossSection, Manifold, OpType
+
+from gcnd.data.shapes_profiles import circle, lathe_profile, outline, polygon, rectangle, segments
+
+Part = Callable[[np.random.Generator], Manifold]
+
+
+def cad_solid(rng: np.random.Generator) -> tuple[str, Manifold]:
+    """Return a random machine part, its family's name first.
+
+    A family gives the body; holes, grooves, bevels, bosses, cutters and a bend are then added by chance. Curved
+    faces have facets of at most a few degrees.
+
+    Args:
+        rng: Draws everything; the same state gives the same part.
+
+    Returns:
+        The name and a closed solid, its largest piece if cutting left several, about 1 across.
+
+    Example:
+        >>> import numpy as np
+        >>> name, solid = cad_solid(np.random.default_rng(0))
+        >>> solid.volume() > 0
+        True
+    """
+    names = list(FAMILIES)
+    name = names[int(rng.integers(len(names)))]
+    solid = _fit(FAMILIES[name](rng))
+    for feature, chance in _FEATURES:
+        while rng.random() < chance:
+            changed = feature(rng, solid)
+            # A cut that eats the part is no feature.
+            if not changed.is_empty() and changed.volume() > 0.4 * solid.volume():
+                solid = changed
+            chance *= 0.4
+    solid = largest_piece(solid)
+    if rng.random() < 0.25:
+        solid = _bent(rng, solid)
+    return name, solid
+
+
+def largest_piece(solid: Manifold) -> Manifold:
+    """Return the connected piece of largest volume.
+
+    Example:
+        >>> two = Manifold.cube() + Manifold.cube((2.0, 2.0, 2.0)).translate((5.0, 0.0, 0.0))
+        >>> largest_piece(two).volume()
+        8.0
+    """
+    pieces = solid.decompose()
+    return max(pieces, key=lambda piece: piece.volume()) if pieces else solid
+
+
+def _fit(solid: Manifold) -> Manifold:
+    """Move a solid to the origin and scale its longest side to 1."""
+    box = np.array(solid.bounding_box())
+    size = float((box[3:] - box[:3]).max())
+    centre = 0.5 * (box[:3] + box[3:])
+    moved = solid.translate((float(-centre[0]), float(-centre[1]), float(-centre[2])))
+    return moved.scale((1 / size, 1 / size, 1 / size)) if size > 0 else moved
+
+
+def _triple(values: np.ndarray) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def _turned(rng: np.random.Generator, solid: Manifold) -> Manifold:
+    """Rotate by right angles mostly, freely at times."""
+    if rng.random() < 0.6:
+        return solid.rotate(_triple(90.0 * rng.integers(0, 4, 3)))
+    return solid.rotate(_triple(rng.uniform(0, 360, 3)))
+
+
+def _primitive(rng: np.random.Generator) -> Manifold:
+    """A box, cylinder, cone, sphere, torus, prism or hull about 0.3 to 0.8 across."""
+    choice = int(rng.integers(7))
+    r, h = (float(x) for x in rng.uniform(0.12, 0.4, 2))
+    if choice == 0:
+        return Manifold.cube(_triple(rng.uniform(0.2, 0.8, 3)), True)
+    if choice == 1:
+        return Manifold.cylinder(2 * h, r, r, segments(r), True)
+    if choice == 2:
+        return Manifold.cylinder(2 * h, r, r * float(rng.uniform(0, 0.6)), segments(r), True)
+    if choice == 3:
+        return Manifold.sphere(r, segments(r))
+    if choice == 4:
+        tube = circle(float(rng.uniform(0.25, 0.6)) * r).translate((r, 0.0))
+        return tube.revolve(segments(r))
+    if choice == 5:
+        return polygon(rng).scale((2 * r, 2 * r)).extrude(2 * h).translate((0.0, 0.0, -h))
+    return _polyhedron(rng).scale((0.6, 0.6, 0.6))
+
+
+def _polyhedron(rng: np.random.Generator) -> Manifold:
+    """The convex hull of random points on an ellipsoid: a gem."""
+    points = rng.standard_normal((int(rng.integers(6, 26)), 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return Manifold.hull_points(points * rng.uniform(0.25, 0.5, 3))
+
+
+def _assembly(rng: np.random.Generator) -> Manifold:
+    solid = _primitive(rng)
+    for _ in range(int(rng.integers(2, 6))):
+        solid += _turned(rng, _primitive(rng)).translate(_triple(rng.uniform(-0.3, 0.3, 3)))
+    for _ in range(int(rng.integers(1, 4))):
+        solid -= _turned(rng, _primitive(rng)).translate(_triple(rng.uniform(-0.45, 0.45, 3)))
+    return solid
+
+
+def _extrusion(rng: np.random.Generator) -> Manifold:
+    height = float(rng.uniform(0.15, 0.9))
+    twist = float(rng.uniform(-90, 90)) if rng.random() < 0.25 else 0.0
+    scale = float(rng.uniform(0.4, 1.0)) if rng.random() < 0.25 else 1.0
+    steps = 60 if twist else 0
+    return outline(rng).extrude(height, steps, twist, (scale, scale))
+
+
+def _turned_part(rng: np.random.Generator) -> Manifold:
+    solid = lathe_profile(rng).revolve(segments(0.5))
+    if rng.random() < 0.4:
+        n_holes = int(rng.integers(3, 9))
+        r = float(rng.uniform(0.02, 0.05))
+        hole = Manifold.cylinder(4.0, r, r, segments(r), True).translate(
+            (float(rng.uniform(0.2, 0.4)), 0.0, 0.0)
+        )
+        solid -= Manifold.batch_boolean(
+            [hole.rotate((0.0, 0.0, 360.0 * i / n_holes)) for i in range(n_holes)], OpType.Add
+        )
+    return solid
+
+
+def _plate(rng: np.random.Generator) -> Manifold:
+    """A plate with an array of holes, pockets, bosses and ribs."""
+    thick = float(rng.uniform(0.06, 0.2))
+    plate = outline(rng).extrude(thick)
+    nx, ny = (int(x) for x in rng.integers(1, 5, 2))
+    r = float(rng.uniform(0.02, 0.05))
+    drill = Manifold.cylinder(1.0, r, r, segments(r), True)
+    for x in np.linspace(-0.3, 0.3, nx):
+        for y in np.linspace(-0.3, 0.3, ny):
+            plate -= drill.translate((float(x), float(y), 0.0))
+    for _ in range(int(rng.integers(0, 4))):
+        x, y = (float(x) for x in rng.uniform(-0.3, 0.3, 2))
+        tall = float(rng.uniform(1.2, 3.0)) * thick
+        r = float(rng.uniform(0.04, 0.1))
+        boss = Manifold.cylinder(tall, r, float(rng.uniform(0.7, 1.0)) * r, segments(r))
+        plate += boss.translate((x, y, 0.0))
+        if rng.random() < 0.6:
+            plate -= Manifold.cylinder(2.0, 0.5 * r, 0.5 * r, segments(0.5 * r), True).translate((x, y, 0.0))
+    for _ in range(int(rng.integers(0, 3))):
+        rib = Manifold.cube((0.8, float(rng.uniform(0.03, 0.07)), 2 * thick), True)
+        plate += rib.rotate((0.0, 0.0, float(rng.choice([0.0, 90.0, 45.0])))).translate((0.0, 0.0, thick))
+    return plate
+
+
+def _bracket(rng: np.random.Generator) -> Manifold:
+    """Two flanges, a gusset between them, and bores."""
+    t, w = float(rng.uniform(0.08, 0.16)), float(rng.uniform(0.4, 0.9))
+    foot = Manifold.cube((1.0, w, t))
+    wall = Manifold.cube((t, w, float(rng.uniform(0.5, 0.9))))
+    gusset = polygon_prism(np.array([[0.0, 0.0], [0.6, 0.0], [0.0, 0.45]]), t)
+    solid = foot + wall + gusset.rotate((90.0, 0.0, 0.0)).translate((0.0, 0.5 * w + 0.5 * t, 0.0))
+    for x in (0.45, 0.8):
+        r = float(rng.uniform(0.04, 0.09))
+        bore = Manifold.cylinder(1.0, r, r, segments(r), True)
+        for y in (0.25 * w, 0.75 * w):
+            solid -= bore.translate((x, y, 0.0))
+    return solid
+
+
+def polygon_prism(corners: np.ndarray, height: float) -> Manifold:
+    """Return the prism of height `height` over a polygon; (N, 2) corners anticlockwise, in part units.
+
+    Example:
+        >>> import numpy as np
+        >>> polygon_prism(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), 2.0).volume()
+        1.0
+    """
+    return CrossSection([corners]).extrude(height)
+
+
+def _housing(rng: np.random.Generator) -> Manifold:
+    """A thin-walled box or tub with openings."""
+    wall = float(rng.uniform(0.03, 0.08))
+    section = outline(rng)
+    inner = section.offset(-wall)
+    height = float(rng.uniform(0.3, 0.7))
+    solid = section.extrude(height)
+    if not inner.is_empty():
+        solid -= inner.extrude(height).translate((0.0, 0.0, wall))
+    for _ in range(int(rng.integers(0, 4))):
+        r = float(rng.uniform(0.04, 0.12))
+        bore = Manifold.cylinder(2.0, r, r, segments(r), True).rotate((90.0, 0.0, float(rng.uniform(0, 180))))
+        solid -= bore.translate((0.0, 0.0, float(rng.uniform(0.3, 0.7)) * height))
+    return solid
+
+
+def _rounded(rng: np.random.Generator) -> Manifold:
+    """A block with rounded edges: the hull of balls, cut by planes so that sharp edges meet blends."""
+    radius = float(rng.uniform(0.05, 0.2))
+    ball = Manifold.sphere(radius, segments(radius))
+    half = rng.uniform(0.1, 0.45, 3)
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    corners = signs * half + 0.3 * half * rng.standard_normal((8, 3)) * (rng.random() < 0.4)
+    solid = Manifold.batch_hull([ball.translate(_triple(c)) for c in corners])
+    for _ in range(int(rng.integers(0, 3))):
+        solid = _trimmed(rng, solid)
+    return solid
+
+
+def _balls(rng: np.random.Generator) -> Manifold:
+    """Balls joined and cut along sharp circles."""
+    solid = Manifold.sphere(0.5, segments(0.5))
+    for _ in range(int(rng.integers(2, 7))):
+        r = float(rng.uniform(0.15, 0.4))
+        way = rng.standard_normal(3)
+        ball = Manifold.sphere(r, segments(r)).translate(
+            _triple(way / np.linalg.norm(way) * rng.uniform(0.4, 0.6))
+        )
+        solid = solid - ball if rng.random() < 0.6 else solid + ball
+    return solid
+
+
+def _stairs(rng: np.random.Generator) -> Manifold:
+    """Blocks in shallow steps, straight or stacked."""
+    n_steps = int(rng.integers(3, 9))
+    rise = float(rng.uniform(0.02, 0.1))
+    section = outline(rng)
+    solid = section.extrude(rise)
+    for i in range(1, n_steps):
+        share = 1 - i / (n_steps + 1)
+        level = section.scale((share, share)) if rng.random() < 0.7 else rectangle(0.9 * share, 0.9 * share)
+        shift = (float(rng.uniform(-0.05, 0.05)), float(rng.uniform(-0.05, 0.05)), i * rise - 0.5 * rise)
+        solid += level.extrude(1.5 * rise).translate(shift)
+    return solid
+
+
+def _gem(rng: np.random.Generator) -> Manifold:
+    solid = _polyhedron(rng)
+    return solid if rng.random() < 0.5 else solid + _polyhedron(rng).rotate(_triple(rng.uniform(0, 360, 3)))
+
+
+FAMILIES: dict[str, Part] = {
+    "assembly": _assembly,
+    "extrusion": _extrusion,
+    "turned": _turned_part,
+    "plate": _plate,
+    "bracket": _bracket,
+    "housing": _housing,
+    "rounded": _rounded,
+    "balls": _balls,
+    "stairs": _stairs,
+    "gem": _gem,
+}
+"""The families of parts by name."""
+
+
+def _trimmed(rng: np.random.Generator, solid: Manifold) -> Manifold:
+    """Bevel: cut a corner or an edge off by a plane."""
+    box = np.array(solid.bounding_box())
+    half = 0.5 * (box[3:] - box[:3])
+    normal = np.sign(rng.standard_normal(3)) * rng.uniform(0.2, 1.0, 3)
+    if rng.random() < 0.5:
+        normal[int(rng.integers(3))] = 0.0
+    normal /= np.linalg.norm(normal)
+    reach = float(np.abs(normal) @ half)
+    offset = float(normal @ (0.5 * (box[:3] + box[3:]))) + reach * float(rng.uniform(0.6, 0.9))
+    return solid.trim_by_plane(_triple(-normal), -offset)
+
+
+def _bored(rng: np.random.Generator, solid: Manifold) -> Manifold:
+    """Drill a round, square or countersunk hole."""
+    r = float(rng.uniform(0.03, 0.12))
+    hole = Manifold.cylinder(3.0, r, r, segments(r), True)
+    if rng.random() < 0.3:
+        hole = Manifold.cube((1.6 * r, 1.6 * r, 3.0), True)
+    elif rng.random() < 0.3:
+        hole += Manifold.cylinder(0.6, 0.0, 4 * r, segments(2 * r)).translate((0.0, 0.0, 0.1))
+    return solid - _turned(rng, hole).translate(_triple(rng.uniform(-0.25, 0.25, 3)))
+
+
+def _grooved(rng: np.random.Generator, solid: Manifold) -> Manifold:
+    """Engrave shallow parallel, crossing or ring-shaped grooves into the top, like lettering."""
+    top = float(solid.bounding_box()[5])
+    depth, width = float(rng.uniform(0.01, 0.04)), float(rng.uniform(0.015, 0.05))
+    tools = []
+    for i in range(int(rng.integers(2, 7))):
+        if rng.random() < 0.25:
+            r = float(rng.uniform(0.08, 0.3))
+            ring = (circle(r + width) - circle(r)).extrude(2 * depth)
+            tools.append(ring.translate((0.0, 0.0, -depth)))
+        else:
+            bar = Manifold.cube((float(rng.uniform(0.1, 0.8)), width, 2 * depth), True)
+            bar = bar.rotate((0.0, 0.0, float(rng.choice([0.0, 90.0, 45.0]))))
+            tools.append(bar.translate((float(rng.uniform(-0.2, 0.2)), (i - 2.5) * 3 * width, 0.0)))
+    tool = tools[0]
+    for other in tools[1:]:
+        tool += other
+    return solid - tool.translate((0.0, 0.0, top))
+
+
+def _cut(rng: np.random.Generator, solid: Manifold) -> Manifold:
+    return solid - _turned(rng, _primitive(rng)).translate(_triple(rng.uniform(-0.6, 0.6, 3)))
+
+
+def _joined(rng: np.random.Generator, solid: Manifold) -> Manifold:
+    other = _turned(rng, _primitive(rng)).scale((0.7, 0.7, 0.7))
+    return solid + other.translate(_triple(rng.uniform(-0.3, 0.3, 3)))
+
+
+_FEATURES: tuple[tuple[Callable[[np.random.Generator, Manifold], Manifold], float], ...] = (
+    (_joined, 0.2),
+    (_cut, 0.35),
+    (_trimmed, 0.35),
+    (_bored, 0.4),
+    (_grooved, 0.3),
+)
+
+
+def _bent(rng: np.random.Generator, solid: Manifold) -> Manifold:
+    """Bend and taper gently, so that edges and faces become curved and stay sharp."""
+    fine = solid.refine_to_length(0.02)
+    bend, taper = float(rng.uniform(-1.0, 1.0)), float(rng.uniform(-0.3, 0.3))
+    axis = int(rng.integers(3))
+
+    def warp(points: np.ndarray) -> np.ndarray:
+        p = np.roll(np.array(points), axis, axis=1)
+        scale = 1 + taper * p[:, 2]
+        x, y = p[:, 0] * scale, p[:, 1] * scale
+        angle = bend * p[:, 2]
+        reach = (1 / bend + x) if abs(bend) > 0.1 else x
+        bent = np.stack([reach * np.cos(angle) - 1 / bend, y, reach * np.sin(angle)], axis=1)
+        result = bent if abs(bend) > 0.1 else np.stack([x, y, p[:, 2]], axis=1)
+        return np.ascontiguousarray(np.roll(result, -axis, axis=1))
+
+    return fine.warp_batch(warp)

@@ -1,0 +1,45 @@
+"""The exceptions that gcnd raises for input it cannot use.
+
+Every one carries a message that names what is wrong and, where there is one, a hint that says what to do
+about it; the command line prints both and shows no traceback.
+"""
+
+from __future__ import annotations
+
+__all__ = ["ConfigError", "GcndError", "MeshError", "WeightsError"]
+
+
+class GcndError(Exception):
+    """Reports something the caller can put right; the base of all of gcnd's exceptions.
+
+    Args:
+        message: What is wrong, with the ids and values that show it.
+        hint: What to do about it, or None.
+
+    Example:
+        >>> error = GcndError("face 3 has 4 corners, not 3", hint="triangulate the mesh first")
+        >>> str(error), error.hint
+        ('face 3 has 4 corners, not 3', 'triangulate the mesh first')
+    """
+
+    hint: str | None
+
+    def __init__(self, message: str, hint: str | None = None) -> None:
+        super().__init__(message)
+        self.hint = hint
+
+    def __reduce__(self) -> tuple[type[GcndError], tuple[str, str | None]]:
+        # Exception's own pickling forgets the hint, and errors cross process borders in data loading.
+        return type(self), (str(self), self.hint)
+
+
+class MeshError(GcndError, ValueError):
+    """Reports a mesh, or a mesh file, that cannot be read, worked on or written."""
+
+
+class ConfigError(GcndError, ValueError):
+    """Reports a parameter outside its allowed values."""
+
+
+class WeightsError(GcndError):
+    """Reports network weights that are missing, damaged or do not fit."""

@@ -1,0 +1,334 @@
+"""PLY, text and binary: read with every value per vertex and per face, written with 32 or 64 bits.
+
+Elements other than "vertex" and "face" are not kept, nor are normals: they would be stale once the vertices
+move.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcnd.errors import MeshError
+from gcnd.formats.parsed import (
+    DAMAGED_HINT,
+    ParsedMesh,
+    polygon_error,
+    rgba_from_values,
+    split_seams,
+    truncated_error,
+)
+from gcnd.formats.ply_header import PlyElement, PlyHeader, PlyProperty, parse_header
+
+__all__ = ["read_ply", "write_ply"]
+
+_INDEX_NAMES = ("vertex_indices", "vertex_index")
+_UV_NAMES = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
+_RGB, _NORMAL = ("red", "green", "blue"), ("nx", "ny", "nz")
+
+Columns = dict[str, NDArray[Any]]
+
+
+def read_ply(data: bytes) -> ParsedMesh:
+    """Reads a PLY file.
+
+    A vertex whose faces give it several texture coordinates is repeated at the end of the vertices (see
+    `split_seams`); otherwise vertices and faces are the file's, in the file's order.
+
+    Args:
+        data: The whole file.
+
+    Returns:
+        The mesh. `metadata["float64"]` is true when its header declares coordinates of 64 bits.
+
+    Raises:
+        MeshError: If the file is no PLY file, is cut off, or has a face that is not a triangle.
+    """
+    header = parse_header(data)
+    columns = _read_text(data, header) if header.byte_order is None else _read_binary(data, header)
+    vertex, face = columns.get("vertex", {}), columns.get("face", {})
+    if not all(axis in vertex for axis in "xyz"):
+        raise MeshError("it has no vertices with x, y and z", "it may hold something other than a mesh")
+    index_name = next((name for name in _INDEX_NAMES if name in face), None)
+    has_faces = index_name is not None and face[index_name].ndim == 2
+    indices = face.pop(index_name) if index_name is not None and has_faces else np.zeros((0, 3), np.int64)
+    parsed = ParsedMesh(
+        vertices=np.column_stack([vertex.pop(axis) for axis in "xyz"]).astype(np.float64),
+        faces=indices.astype(np.int64),
+        texture=header.texture,
+    )
+    is_double = any(p.name == "x" and p.dtype == "f8" for e in header.elements for p in e.properties)
+    if is_double:
+        parsed.metadata["float64"] = True
+    _take_values(parsed, vertex, face)
+    return parsed
+
+
+def _take_values(parsed: ParsedMesh, vertex: Columns, face: Columns) -> None:
+    """Sorts the remaining columns into colours, texture coordinates and attributes."""
+    for columns in (vertex, face):
+        for name in _NORMAL:
+            columns.pop(name, None)
+    parsed.vertex_colors = _pop_colors(vertex)
+    if parsed.vertex_colors is None:
+        # A mesh object has one kind of colour; with both, the faces' stay as attributes.
+        parsed.face_colors = _pop_colors(face)
+    for names in _UV_NAMES:
+        if all(name in vertex for name in names):
+            parsed.uv = np.column_stack([vertex.pop(name) for name in names]).astype(np.float64)
+            break
+    parsed.vertex_attributes = vertex
+    texcoord = face.get("texcoord")
+    if parsed.uv is None and texcoord is not None and texcoord.shape == (len(parsed.faces), 6):
+        corner_uv = face.pop("texcoord").reshape(-1, 2).astype(np.float64)
+        values, value_id = np.unique(corner_uv, axis=0, return_inverse=True)
+        parsed.faces, source_vertex, vertex_value = split_seams(
+            parsed.faces, value_id.reshape(parsed.faces.shape).astype(np.int64), len(parsed.vertices)
+        )
+        parsed.repeat_vertices(source_vertex)
+        parsed.uv = np.where(vertex_value[:, None] >= 0, values[vertex_value], 0.0)
+    parsed.face_attributes = face
+
+
+def _pop_colors(columns: Columns) -> NDArray[np.uint8] | None:
+    if not all(name in columns and columns[name].ndim == 1 for name in _RGB):
+        return None
+    names = [*_RGB, "alpha"] if "alpha" in columns else list(_RGB)
+    return rgba_from_values(np.column_stack([columns.pop(name) for name in names]))
+
+
+def _read_binary(data: bytes, header: PlyHeader) -> dict[str, Columns]:
+    """Reads every element of a binary file into columns, (n,) for a number and (n, k) for a list."""
+    columns: dict[str, Columns] = {}
+    position = header.data_start
+    for element in header.elements:
+        lengths = _first_lengths_binary(data, position, element, header.byte_order or "<")
+        record = np.dtype(_record_fields(element, lengths, header.byte_order or "<"))
+        n_whole = min(element.count, max(0, len(data) - position) // max(record.itemsize, 1))
+        rows = np.frombuffer(data, dtype=record, count=n_whole, offset=min(position, len(data)))
+        counts = {f"{p.name} length": rows[f"{p.name} length"] for p in element.properties if p.count_dtype}
+        _check_lengths(element, lengths, counts)
+        if n_whole < element.count:
+            raise truncated_error(f"{element.name} records", element.count, n_whole)
+        # Native byte order and own memory, so that nothing keeps the whole file alive.
+        columns[element.name] = {
+            p.name: rows[p.name].astype(rows[p.name].dtype.newbyteorder("=")) for p in element.properties
+        }
+        position += element.count * record.itemsize
+    if position < len(data) and data[position:].strip():
+        raise MeshError(f"{len(data) - position} bytes follow the data its header announces", DAMAGED_HINT)
+    return columns
+
+
+def _read_text(data: bytes, header: PlyHeader) -> dict[str, Columns]:
+    """Reads every element of a text file into columns, (n,) for a number and (n, k) for a list."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            numbers = np.fromstring(data[header.data_start :].decode("ascii"), dtype=np.float64, sep=" ")
+        except (DeprecationWarning, ValueError):
+            raise MeshError("its data holds something that is not a number", DAMAGED_HINT) from None
+    columns: dict[str, Columns] = {}
+    position = 0
+    for element in header.elements:
+        lengths = _first_lengths_text(numbers[position:], element)
+        width = sum(1 + lengths[p.name] if p.count_dtype else 1 for p in element.properties)
+        n_whole = min(element.count, (len(numbers) - position) // max(width, 1))
+        rows = numbers[position : position + n_whole * width].reshape(n_whole, width)
+        values: Columns = {}
+        counts: Columns = {}
+        column = 0
+        for p in element.properties:
+            if p.count_dtype:
+                counts[f"{p.name} length"] = rows[:, column]
+                values[p.name] = rows[:, column + 1 : column + 1 + lengths[p.name]].astype(p.dtype)
+                column += 1 + lengths[p.name]
+            else:
+                values[p.name] = rows[:, column].astype(_text_dtype(p))
+                column += 1
+        _check_lengths(element, lengths, counts)
+        if n_whole < element.count:
+            raise truncated_error(f"{element.name} records", element.count, n_whole)
+        columns[element.name] = values
+        position += element.count * width
+    if position < len(numbers):
+        raise MeshError(
+            f"{len(numbers) - position} numbers follow the data its header announces", DAMAGED_HINT
+        )
+    return columns
+
+
+def _text_dtype(prop: PlyProperty) -> str:
+    # Text coordinates carry the digits they were written with, whatever the header calls them.
+    return "f8" if prop.name in ("x", "y", "z") else prop.dtype
+
+
+def _is_face_indices(element: PlyElement, prop: PlyProperty) -> bool:
+    return element.name == "face" and prop.name in _INDEX_NAMES
+
+
+def _first_lengths_binary(data: bytes, position: int, element: PlyElement, order: str) -> dict[str, int]:
+    """Length of each list in the element's first record; a face's indices are taken to be three."""
+    lengths: dict[str, int] = {}
+    for p in element.properties:
+        if p.count_dtype:
+            count_dtype = np.dtype(order + p.count_dtype)
+            is_inside = element.count > 0 and position + count_dtype.itemsize <= len(data)
+            first = int(np.frombuffer(data, count_dtype, 1, position)[0]) if is_inside else 0
+            lengths[p.name] = 3 if _is_face_indices(element, p) else _plausible(first, element, p)
+            position += count_dtype.itemsize + lengths[p.name] * np.dtype(p.dtype).itemsize
+        else:
+            position += np.dtype(p.dtype).itemsize
+    return lengths
+
+
+def _first_lengths_text(numbers: NDArray[np.float64], element: PlyElement) -> dict[str, int]:
+    """Length of each list in the element's first record; a face's indices are taken to be three."""
+    lengths: dict[str, int] = {}
+    column = 0
+    for p in element.properties:
+        if p.count_dtype:
+            is_inside = element.count > 0 and column < len(numbers) and np.isfinite(numbers[column])
+            first = int(numbers[column]) if is_inside else 0
+            lengths[p.name] = 3 if _is_face_indices(element, p) else _plausible(first, element, p)
+            column += lengths[p.name]
+        column += 1
+    return lengths
+
+
+def _plausible(length: int, element: PlyElement, prop: PlyProperty) -> int:
+    if not 0 <= length <= 4096:
+        raise MeshError(f"list '{prop.name}' of {element.name} 0 has length {length}", DAMAGED_HINT)
+    return length
+
+
+def _record_fields(element: PlyElement, lengths: Mapping[str, int], order: str) -> list[Any]:
+    fields: list[Any] = []
+    for p in element.properties:
+        if p.count_dtype:
+            fields.append((f"{p.name} length", order + p.count_dtype))
+            fields.append((p.name, order + p.dtype, (lengths[p.name],)))
+        else:
+            fields.append((p.name, order + p.dtype))
+    return fields
+
+
+def _check_lengths(element: PlyElement, lengths: Mapping[str, int], counts: Columns) -> None:
+    """Raises for the first record whose lists are not as long as the first record's.
+
+    All records before it were read at their true place, so its number is right; records after it are not.
+    """
+    first_bad: tuple[int, PlyProperty, int] | None = None
+    for p in element.properties:
+        if p.count_dtype is None:
+            continue
+        column = counts[f"{p.name} length"]
+        wrong = np.flatnonzero(column != lengths[p.name])
+        if len(wrong) and (first_bad is None or wrong[0] < first_bad[0]):
+            first_bad = (int(wrong[0]), p, int(column[wrong[0]]))
+    if first_bad is None:
+        return
+    record, prop, length = first_bad
+    if _is_face_indices(element, prop):
+        raise polygon_error(record, length)
+    raise MeshError(
+        f"list '{prop.name}' has {lengths[prop.name]} values in {element.name} 0 and {length} in "
+        f"{element.name} {record}",
+        "write the mesh without that property, for example with MeshLab",
+    )
+
+
+def write_ply(mesh: ParsedMesh, *, float64: bool, comments: Sequence[str] = ()) -> bytes:
+    """Writes a binary little-endian PLY file, with colours, texture coordinates and attributes.
+
+    Args:
+        mesh: The mesh; its metadata is not written.
+        float64: Whether coordinates get 64 bits (`double`) or 32 (`float`).
+        comments: Header comments, such as "TextureFile wood.png".
+
+    Returns:
+        The whole file.
+
+    Raises:
+        MeshError: If an attribute is no array of numbers with one row per vertex or face.
+    """
+    scalar = "<f8" if float64 else "<f4"
+    vertex: list[tuple[str, NDArray[Any]]] = [
+        (axis, mesh.vertices[:, i].astype(scalar)) for i, axis in enumerate("xyz")
+    ]
+    vertex += _color_columns(mesh.vertex_colors)
+    if mesh.uv is not None:
+        vertex += [("s", mesh.uv[:, 0].astype(scalar)), ("t", mesh.uv[:, 1].astype(scalar))]
+    vertex += mesh.vertex_attributes.items()
+    face: list[tuple[str, NDArray[Any]]] = [("vertex_indices", mesh.faces.astype("<i4"))]
+    face += _color_columns(mesh.face_colors)
+    face += mesh.face_attributes.items()
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
+    vertex_lines, vertex_rows = _pack("vertex", vertex, len(mesh.vertices))
+    face_lines, face_rows = _pack("face", face, len(mesh.faces))
+    header += [*vertex_lines, *face_lines, "end_header", ""]
+    return "\n".join(header).encode("utf-8") + vertex_rows + face_rows
+
+
+def _color_columns(colors: NDArray[np.uint8] | None) -> list[tuple[str, NDArray[Any]]]:
+    if colors is None:
+        return []
+    return [(name, colors[:, i]) for i, name in enumerate((*_RGB, "alpha"))]
+
+
+_PLY_FROM_DTYPE = {
+    "i1": "char",
+    "u1": "uchar",
+    "i2": "short",
+    "u2": "ushort",
+    "i4": "int",
+    "u4": "uint",
+    "f4": "float",
+    "f8": "double",
+}
+_WIDENED = {"b1": "u1", "i8": "i4", "u8": "u4", "f2": "f4"}
+
+
+def _pack(name: str, columns: Sequence[tuple[str, NDArray[Any]]], n: int) -> tuple[list[str], bytes]:
+    """Header lines and data of one element."""
+    lines = [f"element {name} {n}"]
+    fields: list[Any] = []
+    packed: list[tuple[str, NDArray[Any] | int]] = []
+    for column_name, values in columns:
+        code = np.asarray(values).dtype.str[1:]
+        code = _WIDENED.get(code, code)
+        is_word = column_name.isascii() and column_name.isprintable() and " " not in column_name
+        if code not in _PLY_FROM_DTYPE or len(values) != n or values.ndim > 2 or not is_word:
+            raise MeshError(
+                f"{name} attribute '{column_name}' of shape {np.shape(values)} and type "
+                f"{np.asarray(values).dtype} cannot be written as PLY",
+                "remove that attribute, or save as another format",
+            )
+        values = _narrow(values, code, f"{name} attribute '{column_name}'")
+        if values.ndim == 2:
+            if values.shape[1] > 255:
+                raise MeshError(f"{name} attribute '{column_name}' has {values.shape[1]} columns, over 255")
+            lines.append(f"property list uchar {_PLY_FROM_DTYPE[code]} {column_name}")
+            fields += [(f"{column_name} length", "<u1"), (column_name, "<" + code, (values.shape[1],))]
+            packed += [(f"{column_name} length", values.shape[1]), (column_name, values)]
+        else:
+            lines.append(f"property {_PLY_FROM_DTYPE[code]} {column_name}")
+            fields.append((column_name, "<" + code))
+            packed.append((column_name, values))
+    rows = np.zeros(n, dtype=fields)
+    for field_name, value in packed:
+        rows[field_name] = value
+    return lines, rows.tobytes()
+
+
+def _narrow(values: NDArray[Any], code: str, what: str) -> NDArray[Any]:
+    """Converts to the type that is written, or raises when a value does not fit."""
+    with np.errstate(over="ignore"):
+        narrowed = values.astype(code)
+    if values.dtype.kind in "iu" and not np.array_equal(narrowed, values):
+        raise MeshError(f"{what} has values beyond 32 bits, which PLY cannot hold", "save as another format")
+    return narrowed

@@ -1,0 +1,1 @@
+"""Layers, networks and the cascade: nothing here knows a mesh."""

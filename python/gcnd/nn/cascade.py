@@ -1,0 +1,138 @@
+"""A cascade: the networks of all stages with what each expects of its patches. No mesh in here."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from torch import nn
+
+from gcnd.errors import ConfigError
+from gcnd.nn.networks import CentreNormalNet, NetworkConfig, NodeNormalNet, build_network
+
+
+@dataclass(frozen=True)
+class PatchConfig:
+    """How patches are cut from a mesh; must be the same in training and at run time.
+
+    Attributes:
+        patch_scale: k in r = k·√ā, 2…10 (paper Sec. 4.1).
+        n_nodes: Nodes a patch, 16…512.
+        budget: "nearest" keeps the nearest faces, "random" shrinks or repeats at random (paper Sec. 7.5).
+        voting_region: Faces that vote for the frame: all of the "patch" (text) or the "two_ring".
+        sigma_vote: σ of the voting weight in units of r. Choice: docs/choices.md#sigma-vote.
+        vertex_offsets: Whether nine channels of vertex offsets follow the paper's eight.
+    """
+
+    patch_scale: float = 4.0
+    n_nodes: int = 64
+    budget: Literal["nearest", "random"] = "nearest"
+    voting_region: Literal["patch", "two_ring"] = "patch"
+    sigma_vote: float = 1 / 3
+    vertex_offsets: bool = True
+
+    @property
+    def n_channels(self) -> int:
+        """Channels of the features: 8, or 17 with vertex offsets."""
+        return 17 if self.vertex_offsets else 8
+
+
+@dataclass(frozen=True)
+class StageConfig:
+    """One stage of a cascade.
+
+    Attributes:
+        network: Layout of the network.
+        patch: Layout of its patches.
+        passes: How often the stage runs, each time on its own output.
+        patches_per_face: Patches centred on this fraction of the faces; 1 is one a face.
+            Networks that predict only the centre need 1.
+    """
+
+    network: NetworkConfig
+    patch: PatchConfig = field(default_factory=PatchConfig)
+    passes: int = 1
+    patches_per_face: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.network.in_channels != self.patch.n_channels:
+            raise ConfigError(
+                f"the network takes {self.network.in_channels} channels, its patches have "
+                f"{self.patch.n_channels}"
+            )
+        if self.passes < 1:
+            raise ConfigError(f"passes is {self.passes}, allowed: 1 or more")
+        if not 0 < self.patches_per_face <= 1:
+            raise ConfigError(f"patches_per_face is {self.patches_per_face}, allowed: above 0, at most 1")
+        if self.network.architecture == "centre" and self.patches_per_face != 1:
+            raise ConfigError("a network that predicts only the centre needs patches_per_face = 1")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the configuration as JSON-ready values."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> StageConfig:
+        """Rebuilds a configuration from ``to_dict``; raises ``ConfigError`` where fields do not fit."""
+        try:
+            return cls(
+                network=NetworkConfig.from_dict(values["network"]),
+                patch=PatchConfig(**values["patch"]),
+                passes=int(values["passes"]),
+                patches_per_face=float(values["patches_per_face"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigError(f"stage configuration does not fit: {error}") from error
+
+
+@dataclass(frozen=True)
+class CascadeConfig:
+    """All stages of a cascade and what is done after the last one.
+
+    Attributes:
+        stages: In the order in which they run.
+        normal_iterations: m of Eq. 5 after the last stage; 0 leaves the normals as predicted.
+        vertex_iterations: Iterations of Eq. 6 after every pass.
+    """
+
+    stages: tuple[StageConfig, ...]
+    normal_iterations: int = 1
+    vertex_iterations: int = 15
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the configuration as JSON-ready values."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> CascadeConfig:
+        """Rebuilds a configuration from ``to_dict``; raises ``ConfigError`` where fields do not fit."""
+        try:
+            return cls(
+                stages=tuple(StageConfig.from_dict(stage) for stage in values["stages"]),
+                normal_iterations=int(values["normal_iterations"]),
+                vertex_iterations=int(values["vertex_iterations"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigError(f"cascade configuration does not fit: {error}") from error
+
+
+class Cascade(nn.Module):
+    """Holds the networks of a cascade, ``stages[i]`` after ``config.stages[i]``.
+
+    Paper: Sec. 5.1, "cascaded GCNs".
+    """
+
+    def __init__(self, config: CascadeConfig):
+        super().__init__()
+        if not config.stages:
+            raise ConfigError("a cascade needs at least one stage")
+        self.config = config
+        self.stages = nn.ModuleList(build_network(stage.network) for stage in config.stages)
+
+    def passes(self) -> list[tuple[StageConfig, CentreNormalNet | NodeNormalNet]]:
+        """Returns every pass over the mesh in order, stages that repeat written out."""
+        return [
+            (stage, network)  # type: ignore[misc]
+            for stage, network in zip(self.config.stages, self.stages, strict=True)
+            for _ in range(stage.passes)
+        ]

@@ -1,0 +1,174 @@
+"""From a mesh and one network to a normal for every face: patches stream through, overlaps are averaged."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from functools import partial
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import torch
+
+from gcnd import _geom
+from gcnd.nn.cascade import PatchConfig, StageConfig
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+    from torch import nn
+
+Precision = Literal["float32", "bfloat16"]
+
+PATCH_NODES_IN_FLIGHT = 1 << 16
+"""Patch nodes extracted at a time; bounds the memory of prediction whatever the mesh."""
+
+
+class PatchArrays:
+    """Buffers for up to ``n_patches`` patches, filled by extraction and reused.
+
+    Attributes:
+        features: (P, N, C) float32, patch frame, lengths in patch radii.
+        neighbors: (P, N, 3) int32, node ids inside the patch.
+        face_ids: (P, N) uint32.
+        mask: (P, N) uint8, 0 for a repeat that fills the patch.
+        world_from_patch: (P, 3, 3) float64, columns e₁ e₂ e₃.
+        radii: (P,) float64, mesh units.
+    """
+
+    def __init__(self, n_patches: int, patch: PatchConfig):
+        shape = (n_patches, patch.n_nodes)
+        self.features = np.empty((*shape, patch.n_channels), dtype=np.float32)
+        self.neighbors = np.empty((*shape, 3), dtype=np.int32)
+        self.face_ids = np.empty(shape, dtype=np.uint32)
+        self.mask = np.empty(shape, dtype=np.uint8)
+        self.world_from_patch = np.empty((n_patches, 3, 3), dtype=np.float64)
+        self.radii = np.empty(n_patches, dtype=np.float64)
+
+    def head(self, n_patches: int) -> PatchArrays:
+        """Returns a view of the first patches."""
+        view = object.__new__(PatchArrays)
+        for name, array in vars(self).items():
+            setattr(view, name, array[:n_patches])
+        return view
+
+    def fill(self, extractor: _geom.PatchExtractor, centers: NDArray[np.uint32]) -> None:
+        """Extracts the patches around ``centers``, as many as the buffers hold."""
+        extractor.extract(
+            centers,
+            self.features,
+            self.neighbors,
+            self.face_ids,
+            self.mask,
+            self.world_from_patch,
+            self.radii,
+        )
+
+
+def make_extractor(
+    topology: _geom.Topology, vertices: NDArray[np.float64], patch: PatchConfig, seed: int
+) -> _geom.PatchExtractor:
+    """Prepares patch extraction from a mesh as ``patch`` describes it."""
+    return _geom.PatchExtractor(
+        topology,
+        vertices,
+        patch_scale=patch.patch_scale,
+        n_nodes=patch.n_nodes,
+        budget=patch.budget,
+        seed=seed,
+        voting_region=patch.voting_region,
+        sigma_vote=patch.sigma_vote,
+        vertex_offsets=patch.vertex_offsets,
+    )
+
+
+def predict_normals(
+    topology: _geom.Topology,
+    vertices: NDArray[np.float64],
+    stage: StageConfig,
+    network: nn.Module,
+    *,
+    seed: int = 0,
+    device: torch.device | str = "cpu",
+    precision: Precision = "float32",
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[np.float64]:
+    """Predicts the noise-free normal of every face with one network.
+
+    A network that returns every node's normal runs on patches around ``stage.patches_per_face`` of the faces;
+    the predictions for a face are averaged with weight exp(−2‖c̄‖²), c̄ its centroid in the patch's frame and
+    radii. Faces that no patch reached get a patch of their own. A network that returns the centre's normal runs
+    once a face.
+
+    Args:
+        topology: Adjacency of the mesh.
+        vertices: Positions (V, 3), mesh units.
+        stage: How to cut patches, and how many.
+        network: Maps (P, N, C) features and (P, N, 3) neighbours to (P, N, 3) or (P, 3) normals.
+        seed: Chooses the patch centres.
+        device: Where the network's weights are.
+        precision: Of the network's matrix products and activations.
+        progress: Called with the fraction done.
+
+    Returns:
+        Unit normals (F, 3), world frame; zero only for a face without area that no patch covers.
+
+    Paper: Sec. 5. Choice: docs/choices.md#cover.
+    """
+    extractor = make_extractor(topology, vertices, stage.patch, seed)
+    accumulator = _geom.NormalAccumulator(topology.n_faces)
+    per_node = stage.network.architecture == "nodes"
+    centers = (
+        _geom.cover_centers(topology.n_faces, stage.patches_per_face, seed)
+        if per_node
+        else np.arange(topology.n_faces, dtype=np.uint32)
+    )
+    batch = max(1, PATCH_NODES_IN_FLIGHT // stage.patch.n_nodes)
+    buffers = PatchArrays(min(batch, topology.n_faces), stage.patch)
+    network.eval()
+    predict = partial(_predict, network, device=torch.device(device), precision=precision)
+    for done, chunk in _chunks(centers, batch):
+        _add_chunk(extractor, accumulator, buffers.head(len(chunk)), chunk, predict, per_node)
+        if progress is not None:
+            progress(done / len(centers))
+    if per_node:
+        for _, chunk in _chunks(accumulator.uncovered(), batch):
+            _add_chunk(extractor, accumulator, buffers.head(len(chunk)), chunk, predict, True)
+    return accumulator.normals(extractor.normals())
+
+
+@torch.inference_mode()
+def _predict(
+    network: nn.Module, patches: PatchArrays, *, device: torch.device, precision: Precision
+) -> NDArray[np.float32]:
+    features = torch.from_numpy(patches.features).to(device)
+    neighbors = torch.from_numpy(patches.neighbors).to(device)
+    low = precision == "bfloat16"
+    with torch.autocast(device.type, dtype=torch.bfloat16) if low else nullcontext():
+        predicted: torch.Tensor = network(features, neighbors)
+    return predicted.float().cpu().numpy()
+
+
+def _add_chunk(
+    extractor: _geom.PatchExtractor,
+    accumulator: _geom.NormalAccumulator,
+    patches: PatchArrays,
+    centers: NDArray[np.uint32],
+    predict: Callable[[PatchArrays], NDArray[np.float32]],
+    per_node: bool,
+) -> None:
+    patches.fill(extractor, centers)
+    predicted = predict(patches)
+    if per_node:
+        accumulator.add_nodes(
+            patches.features, patches.face_ids, patches.mask, patches.world_from_patch, predicted
+        )
+    else:
+        accumulator.add_centers(centers, patches.world_from_patch, predicted)
+
+
+def _chunks(ids: NDArray[np.uint32], size: int) -> Iterator[tuple[int, NDArray[np.uint32]]]:
+    """Yields (ids done after this chunk, chunk)."""
+    for start in range(0, len(ids), size):
+        chunk = ids[start : start + size]
+        yield start + len(chunk), chunk

@@ -1,0 +1,191 @@
+"""The training loop of one stage: patches in, weights out, resumable at any step."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, field
+from queue import Queue
+from typing import TYPE_CHECKING, Any, Literal
+
+import torch
+
+from gcnd.nn.cascade import StageConfig
+from gcnd.nn.networks import build_network
+from gcnd.train.checkpoint import WeightAverage, optimizer_tensors, restore_optimizer, sub_state
+from gcnd.train.losses import LOSSES
+from gcnd.train.samples import Batch, ChunkConfig, VertexSource, make_chunk
+from gcnd.weights.files import load_tensors, save_tensors
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from torch import Tensor, nn
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How one stage is trained.
+
+    Attributes:
+        stage: Network and patches.
+        steps: Optimiser steps; the learning rate has decayed to ``final_lr_ratio`` at the last.
+        batch: Patches a step.
+        lr: Peak learning rate of AdamW.
+        warmup: Steps of linear warm-up before the cosine.
+        final_lr_ratio: Learning rate at the end over the peak.
+        weight_decay: Of AdamW.
+        grad_clip: Largest norm of the gradient.
+        ema_decay: See ``WeightAverage``.
+        loss: A name in ``gcnd.train.losses.LOSSES``.
+        precision: "float32", or "bfloat16" for matrix products and activations.
+        chunk: How patches are drawn.
+        seed: Of weights and data.
+    """
+
+    stage: StageConfig
+    steps: int
+    batch: int = 256
+    lr: float = 2e-3
+    warmup: int = 200
+    final_lr_ratio: float = 0.01
+    weight_decay: float = 1e-4
+    grad_clip: float = 1.0
+    ema_decay: float = 0.999
+    loss: Literal["chord", "mse"] = "chord"
+    precision: Literal["float32", "bfloat16"] = "float32"
+    chunk: ChunkConfig = field(default_factory=ChunkConfig)
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """What the loop says after a step."""
+
+    step: int
+    steps: int
+    loss: float
+    patches_per_second: float
+    seconds_left: float
+
+
+def learning_rate(config: TrainConfig, step: int) -> float:
+    """Linear warm-up, then a cosine from ``lr`` to ``final_lr_ratio · lr``."""
+    if step < config.warmup:
+        return config.lr * (step + 1) / config.warmup
+    progress = (step - config.warmup) / max(1, config.steps - config.warmup)
+    low = config.final_lr_ratio
+    return config.lr * (low + (1 - low) * 0.5 * (1 + math.cos(math.pi * min(1.0, progress))))
+
+
+def batches(source: VertexSource, config: TrainConfig, first_step: int) -> Iterator[Batch]:
+    """Yields the batch of every step from ``first_step`` on; one thread makes chunks ahead."""
+    per_chunk = config.chunk.n_patches // config.batch
+    queue: Queue[Batch | BaseException] = Queue(maxsize=2)
+    stop = threading.Event()
+
+    def produce() -> None:
+        index = first_step // per_chunk
+        while not stop.is_set():
+            try:
+                queue.put(make_chunk(source, config.stage.patch, config.chunk, config.seed, index))
+            except BaseException as error:
+                queue.put(error)
+                return
+            index += 1
+
+    threading.Thread(target=produce, daemon=True).start()
+    skip = first_step % per_chunk
+    try:
+        while True:
+            chunk = queue.get()
+            if isinstance(chunk, BaseException):
+                raise chunk
+            for part in range(skip, per_chunk):
+                rows = slice(part * config.batch, (part + 1) * config.batch)
+                yield Batch(*(tensor[rows] for tensor in chunk))
+            skip = 0
+    finally:
+        stop.set()
+        while not queue.empty():
+            queue.get_nowait()
+
+
+class Trainer:
+    """Trains one stage; everything that a resumed run needs is in ``save`` and ``load``."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        source: VertexSource,
+        initial: dict[str, Tensor] | None = None,
+        device: str = "cpu",
+    ):
+        torch.manual_seed(config.seed)
+        self.config, self.source, self.device = config, source, device
+        self.network: nn.Module = build_network(config.stage.network).to(device)
+        if initial is not None:
+            self.network.load_state_dict(initial)
+        self.optimizer = torch.optim.AdamW(
+            self.network.parameters(), lr=config.lr, weight_decay=config.weight_decay, fused=True
+        )
+        self.average = WeightAverage(self.network, config.ema_decay)
+        self.step = 0
+
+    def save(self, path: Path, header: dict[str, Any] | None = None) -> None:
+        """Writes a checkpoint from which ``load`` goes on bit for bit."""
+        tensors = {f"network.{k}": v for k, v in self.network.state_dict().items()}
+        tensors |= {f"average.{k}": v for k, v in self.average.state.items()}
+        tensors |= optimizer_tensors(self.optimizer)
+        save_tensors(path, tensors, {"step": self.step, "config": asdict(self.config), **(header or {})})
+
+    def load(self, path: Path) -> dict[str, Any]:
+        """Restores a checkpoint and returns its header."""
+        tensors, header = load_tensors(path)
+        self.network.load_state_dict(sub_state(tensors, "network"))
+        average = sub_state(tensors, "average")
+        self.average.state = {k: v.to(self.device) for k, v in average.items()}
+        restore_optimizer(self.optimizer, tensors)
+        self.step = int(header["step"])
+        return header
+
+    def run(self, after_step: Callable[[StepReport], None], until: int | None = None) -> None:
+        """Trains to ``until`` (default: the configured steps), calling ``after_step`` after each step."""
+        last = self.config.steps if until is None else min(until, self.config.steps)
+        if self.step >= last:
+            return
+        started, first = time.monotonic(), self.step
+        for batch in batches(self.source, self.config, self.step):
+            loss = self._one_step(Batch(*(t.to(self.device) for t in batch)))
+            self.step += 1
+            self.average.update(self.network, self.step)
+            speed = (self.step - first) / (time.monotonic() - started)
+            after_step(
+                StepReport(
+                    self.step,
+                    self.config.steps,
+                    loss,
+                    speed * self.config.batch,
+                    (self.config.steps - self.step) / speed,
+                )
+            )
+            if self.step >= last:
+                return
+
+    def _one_step(self, batch: Batch) -> float:
+        config = self.config
+        self.network.train()
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(config, self.step)
+        low = config.precision == "bfloat16"
+        with torch.autocast(self.device, dtype=torch.bfloat16) if low else nullcontext():
+            predicted = self.network(batch.features, batch.neighbors)
+        loss = LOSSES[config.loss](predicted.float(), batch)
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), config.grad_clip)
+        self.optimizer.step()
+        return float(loss.detach())

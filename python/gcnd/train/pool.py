@@ -1,0 +1,101 @@
+"""Meshes that the earlier stages have denoised: what a later stage of the cascade learns from."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from gcnd import _geom
+from gcnd.predict import predict_normals
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+    from torch import nn
+
+    from gcnd.nn.cascade import StageConfig
+    from gcnd.train.samples import CleanShape, FreshNoise
+
+VERTEX_ITERATIONS = 15
+"""Iterations of Eq. 6 between stages, in training as at run time."""
+
+_STREAM = 0x706F6F6C
+"""Keeps the pool's random numbers apart from those of the patches."""
+
+TrainedStage = "tuple[StageConfig, nn.Module]"
+
+
+def run_stages(
+    shape: CleanShape,
+    vertices: NDArray[np.float64],
+    stages: list[tuple[StageConfig, nn.Module]],
+    seed: int,
+    device: str = "cpu",
+) -> NDArray[np.float64]:
+    """Denoises positions (V, 3) by every stage in turn: normals, then vertex updating (paper Sec. 5.1)."""
+    for index, (config, network) in enumerate(stages):
+        normals = predict_normals(
+            shape.topology, vertices, config, network, seed=seed + index, device=device, precision="bfloat16"
+        )
+        vertices = _geom.update_vertices(shape.topology, vertices, normals, VERTEX_ITERATIONS)
+    return vertices
+
+
+class DenoisedPool:
+    """A fixed number of noisy meshes, denoised by the earlier stages, kept on disk and drawn from."""
+
+    def __init__(
+        self,
+        folder: Path,
+        noise: FreshNoise,
+        shapes: list[CleanShape],
+        stages: list[tuple[StageConfig, nn.Module]],
+        size: int,
+        seed: int,
+        device: str = "cpu",
+        progress: Callable[[int, int], None] | None = None,
+    ):
+        folder.mkdir(parents=True, exist_ok=True)
+        self.shapes = shapes
+        self.members: list[tuple[int, NDArray[np.float32]]] = []
+        by_name = {shape.name: index for index, shape in enumerate(shapes)}
+        for number in range(size):
+            path = folder / f"{number:04d}.npz"
+            if not path.exists():
+                shape, noisy = noise.draw(np.random.default_rng([seed, _STREAM, number]))
+                vertices = run_stages(shape, noisy, stages, seed + number, device)
+                _save(path, by_name[shape.name], vertices)
+            with np.load(path, allow_pickle=False) as file:
+                self.members.append((int(file["shape"]), file["vertices"]))
+            if progress is not None:
+                progress(number + 1, size)
+
+    def draw(self, rng: np.random.Generator) -> tuple[CleanShape, NDArray[np.float64]]:
+        """Returns a clean shape and its denoised positions."""
+        index, vertices = self.members[int(rng.integers(len(self.members)))]
+        return self.shapes[index], vertices.astype(np.float64)
+
+
+def _save(path: Path, shape: int, vertices: NDArray[np.float64]) -> None:
+    partial = path.with_suffix(".part")
+    with partial.open("wb") as file:
+        np.savez(file, shape=shape, vertices=vertices.astype(np.float32))
+    partial.replace(path)
+
+
+def as_modules(stages: list[tuple[StageConfig, nn.Module]]) -> list[tuple[StageConfig, nn.Module]]:
+    """Writes out the stages that run more than once."""
+    return [(config, network) for config, network in stages for _ in range(config.passes)]
+
+
+def evaluation_copy(network: nn.Module, state: dict[str, torch.Tensor]) -> nn.Module:
+    """Loads averaged weights into a copy of a network and puts it in evaluation mode."""
+    import copy
+
+    twin = copy.deepcopy(network)
+    twin.load_state_dict(state)
+    return twin.eval()

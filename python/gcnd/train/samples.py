@@ -1,0 +1,196 @@
+"""Training patches, drawn anew for ever: shape × noise × faces, a pure function of (seed, chunk)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gcnd import _geom
+from gcnd.data.noise import add_noise
+from gcnd.predict import PatchArrays, make_extractor
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from gcnd.nn.cascade import PatchConfig
+
+FEATURE_CLASSES = (1, 2)
+"""Edge and corner faces in ``_geom.classify_faces``: the paper's group of feature faces (Sec. 5.2)."""
+
+
+class Batch(NamedTuple):
+    """Patches with what the network should answer.
+
+    Attributes:
+        features: (P, N, C) float32.
+        neighbors: (P, N, 3) int32.
+        target: Noise-free normals (P, N, 3) float32, patch frame; zero where the clean face has none.
+        weight: (P, N) float32: exp(−2‖c̄‖²), zero for repeats and faces without a clean normal.
+    """
+
+    features: Tensor
+    neighbors: Tensor
+    target: Tensor
+    weight: Tensor
+
+
+@dataclass(frozen=True)
+class NoiseDraw:
+    """Parameters of one noisy version of a shape."""
+
+    kind: str
+    level: float
+    fraction: float
+    seed: int
+
+
+@dataclass
+class CleanShape:
+    """A clean mesh with what every noisy version of it shares.
+
+    Attributes:
+        name: For logs and model cards.
+        kind: "cad", "smooth" or "feature".
+        vertices: (V, 3) float64.
+        faces: (F, 3) uint32.
+    """
+
+    name: str
+    kind: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.uint32]
+    topology: _geom.Topology = field(init=False)
+    normals: NDArray[np.float64] = field(init=False)
+    feature_faces: NDArray[np.uint32] = field(init=False)
+    flat_faces: NDArray[np.uint32] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.topology = _geom.Topology(self.faces, len(self.vertices))
+        self.normals = _geom.face_geometry(self.vertices, self.faces)[0]
+        is_feature = np.isin(_geom.classify_faces(self.topology, self.vertices), FEATURE_CLASSES)
+        self.feature_faces = np.flatnonzero(is_feature).astype(np.uint32)
+        self.flat_faces = np.flatnonzero(~is_feature).astype(np.uint32)
+
+
+def draw_noise(rng: np.random.Generator) -> NoiseDraw:
+    """Draws a kind and a level of noise as the default training sees them.
+
+    Gaussian along the normals in six of ten, the rest impulsive, isotropic, varying and correlated; levels
+    mostly 0.05…0.4 of the mean edge, one in ten nearly clean, one in ten up to 0.7.
+    """
+    kind = str(
+        rng.choice(
+            ["gaussian", "impulsive", "isotropic", "varying", "correlated"], p=[0.6, 0.15, 0.1, 0.1, 0.05]
+        )
+    )
+    low, high = [(0.0, 0.05), (0.05, 0.4), (0.4, 0.7)][int(rng.choice(3, p=[0.1, 0.8, 0.1]))]
+    return NoiseDraw(
+        kind, float(rng.uniform(low, high)), float(rng.uniform(0.1, 0.6)), int(rng.integers(2**31))
+    )
+
+
+def pick_faces(
+    shape: CleanShape, count: int, balance_ratio: float | None, rng: np.random.Generator
+) -> NDArray[np.uint32]:
+    """Picks the centres of training patches, ``balance_ratio`` feature faces to every other one.
+
+    ``None`` picks evenly over all faces. A shape with too few feature faces gives what it has, at most five
+    picks of each on average, and fills up with others.
+
+    Paper: Sec. 5.2, data balancing, r = 1.5.
+    """
+    if balance_ratio is None or len(shape.feature_faces) == 0 or len(shape.flat_faces) == 0:
+        return rng.integers(0, len(shape.faces), count).astype(np.uint32)
+    n_feature = min(round(count * balance_ratio / (1 + balance_ratio)), 5 * len(shape.feature_faces))
+    return np.concatenate(
+        [rng.choice(shape.feature_faces, n_feature), rng.choice(shape.flat_faces, count - n_feature)]
+    )
+
+
+class VertexSource(Protocol):
+    """Gives noisy positions to train on."""
+
+    def draw(self, rng: np.random.Generator) -> tuple[CleanShape, NDArray[np.float64]]:
+        """Returns a clean shape and noisy positions (V, 3) of its vertices."""
+        ...
+
+
+class FreshNoise:
+    """Draws a shape, its kind first so that each kind is seen equally often, and adds fresh noise to it."""
+
+    def __init__(self, shapes: list[CleanShape]):
+        self.by_kind = {kind: [s for s in shapes if s.kind == kind] for kind in {s.kind for s in shapes}}
+        self.kinds = sorted(self.by_kind)
+
+    def draw(self, rng: np.random.Generator) -> tuple[CleanShape, NDArray[np.float64]]:
+        """Returns a shape and its vertices with noise."""
+        shapes = self.by_kind[self.kinds[int(rng.integers(len(self.kinds)))]]
+        shape = shapes[int(rng.integers(len(shapes)))]
+        return shape, noisy_vertices(shape, draw_noise(rng))
+
+
+def noisy_vertices(shape: CleanShape, noise: NoiseDraw) -> NDArray[np.float64]:
+    """Adds one draw of noise to a shape's vertices."""
+    return add_noise(
+        shape.vertices,
+        shape.faces,
+        kind=noise.kind,
+        level=noise.level,
+        fraction=noise.fraction,
+        seed=noise.seed,
+    )
+
+
+@dataclass(frozen=True)
+class ChunkConfig:
+    """How a chunk of patches is drawn: ``n_meshes`` noisy meshes, ``n_patches`` patches in all, shuffled."""
+
+    n_meshes: int = 8
+    n_patches: int = 2048
+    balance_ratio: float | None = 1.5
+
+
+def make_chunk(source: VertexSource, patch: PatchConfig, config: ChunkConfig, seed: int, index: int) -> Batch:
+    """Makes chunk ``index`` of the endless stream that ``seed`` starts: the same for ever, on any machine."""
+    rng = np.random.default_rng([seed, index])
+    per_mesh = config.n_patches // config.n_meshes
+    parts = [_patches_of_one_mesh(source, patch, per_mesh, config, rng) for _ in range(config.n_meshes)]
+    order = torch.from_numpy(rng.permutation(per_mesh * config.n_meshes))
+    return Batch(*(torch.cat([part[i] for part in parts])[order] for i in range(4)))
+
+
+def _patches_of_one_mesh(
+    source: VertexSource, patch: PatchConfig, count: int, config: ChunkConfig, rng: np.random.Generator
+) -> Batch:
+    shape, vertices = source.draw(rng)
+    extractor = make_extractor(shape.topology, vertices, patch, int(rng.integers(2**31)))
+    patches = PatchArrays(count, patch)
+    patches.fill(extractor, pick_faces(shape, count, config.balance_ratio, rng))
+    clean = shape.normals[patches.face_ids]
+    target = np.einsum("pnr,prc->pnc", clean, patches.world_from_patch).astype(np.float32)
+    squared = np.square(patches.features[..., :3]).sum(-1)
+    weight = np.exp(-2 * squared) * patches.mask * (np.square(clean).sum(-1) > 0.5)
+    batch = Batch(
+        torch.from_numpy(patches.features),
+        torch.from_numpy(patches.neighbors),
+        torch.from_numpy(target),
+        torch.from_numpy(weight.astype(np.float32)),
+    )
+    return flip_frames(batch, rng)
+
+
+def flip_frames(batch: Batch, rng: np.random.Generator) -> Batch:
+    """Turns half of the frames by 180 degrees around e₁, the ambiguity that tensor voting leaves.
+
+    Choice: docs/choices.md#frame-signs.
+    """
+    turn = torch.from_numpy(np.where(rng.random(len(batch.features)) < 0.5, -1.0, 1.0).astype(np.float32))
+    turn = turn[:, None, None]
+    for start in (0, 3, 8, 11, 14)[: 2 if batch.features.shape[-1] == 8 else 5]:
+        batch.features[..., start + 1 : start + 3] *= turn
+    batch.target[..., 1:] *= turn
+    return batch

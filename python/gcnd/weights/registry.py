@@ -1,0 +1,160 @@
+"""Which weights ship with the package, and how a cascade is read from a file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gcnd.errors import ConfigError, WeightsError
+from gcnd.nn.cascade import Cascade, CascadeConfig
+from gcnd.weights.files import load_header, load_tensors, save_tensors
+
+if TYPE_CHECKING:
+    import torch
+
+LAYOUT_VERSION = 1
+"""Version of the feature layout; weights of another version are refused."""
+
+_FOLDER = Path(__file__).parent
+
+_SHIPPED = ("default",)
+"""Presets with weights in the package: ``<name>.safetensors`` with its card ``<name>.json``."""
+
+
+@dataclass(frozen=True)
+class ModelInfo:
+    """One entry of ``gcnd models``.
+
+    Attributes:
+        name: What ``preset`` takes.
+        description: One line.
+        n_parameters: Trained numbers, all stages together.
+        file_bytes: Size of the weights file.
+        licence: Of the weights.
+        sha256: Of the weights file, as the card states it.
+        default: Whether ``denoise`` takes it when no preset is named.
+        card: The whole model card: data, noise, steps, time, measured E_a.
+    """
+
+    name: str
+    description: str
+    n_parameters: int
+    file_bytes: int
+    licence: str
+    sha256: str
+    default: bool
+    card: dict[str, Any]
+
+
+def list_models() -> list[ModelInfo]:
+    """Lists the shipped weights with their cards."""
+    models = []
+    for name in _SHIPPED:
+        card = _load_card(name)
+        models.append(
+            ModelInfo(
+                name=name,
+                description=card["description"],
+                n_parameters=card["n_parameters"],
+                file_bytes=(_FOLDER / f"{name}.safetensors").stat().st_size,
+                licence=card["licence"],
+                sha256=card["sha256"],
+                default=name == _SHIPPED[0],
+                card=card,
+            )
+        )
+    return models
+
+
+def load_cascade(preset: str, device: torch.device | str = "cpu") -> Cascade:
+    """Loads a cascade in evaluation mode.
+
+    Args:
+        preset: A shipped name, or the path of a file with the ending ``.safetensors``.
+        device: Where the weights go.
+
+    Raises:
+        ConfigError: No such preset, or the device is not there.
+        WeightsError: The file cannot be read, its hash or its layout does not match.
+    """
+    path = Path(preset) if str(preset).endswith(".safetensors") else _FOLDER / f"{preset}.safetensors"
+    if path.parent == _FOLDER and preset not in _SHIPPED:
+        raise ConfigError(
+            f"unknown preset {preset!r}, allowed: {', '.join(_SHIPPED)} or the path of a .safetensors file",
+            hint="`gcnd models` lists the presets",
+        )
+    if path.parent == _FOLDER:
+        _check_hash(path, _load_card(preset)["sha256"])
+    tensors, header = load_tensors(path)
+    cascade = Cascade(_cascade_config(path, header))
+    _check_layout(path, cascade, tensors)
+    cascade.load_state_dict(tensors)
+    return cascade.to(checked_device(device)).eval()
+
+
+def save_cascade(path: Path, cascade: Cascade, header: dict[str, Any] | None = None) -> None:
+    """Writes a cascade's weights and configuration to a ``.safetensors`` file, atomically."""
+    whole = {"layout": LAYOUT_VERSION, "cascade": cascade.config.to_dict(), **(header or {})}
+    save_tensors(path, cascade.state_dict(), whole)
+
+
+def checked_device(device: torch.device | str) -> torch.device:
+    """Returns the torch device of that name; raises ``ConfigError`` when this machine does not have it."""
+    import torch
+
+    try:
+        found = torch.device(device)
+    except RuntimeError as error:
+        raise ConfigError(f"unknown device {device!r}", hint="cpu or cuda") from error
+    if found.type == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("device cuda is not available here", hint="use --device cpu")
+    return found
+
+
+def _load_card(name: str) -> dict[str, Any]:
+    card: dict[str, Any] = json.loads((_FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    return card
+
+
+def _cascade_config(path: Path, header: dict[str, Any]) -> CascadeConfig:
+    if header.get("layout") != LAYOUT_VERSION:
+        raise WeightsError(
+            f"{path} has feature layout {header.get('layout')}, this version of gcnd reads {LAYOUT_VERSION}",
+            hint="train the weights again, or install the version that made them",
+        )
+    try:
+        return CascadeConfig.from_dict(load_config(header))
+    except ConfigError as error:
+        raise WeightsError(f"{path} describes networks that this version does not know: {error}") from error
+
+
+def load_config(header: dict[str, Any]) -> dict[str, Any]:
+    """Returns the cascade's configuration from a file's header; raises ``ConfigError`` when there is none."""
+    config = header.get("cascade")
+    if not isinstance(config, dict):
+        raise ConfigError("no cascade configuration")
+    return config
+
+
+def _check_hash(path: Path, expected: str) -> None:
+    if hashlib.sha256(path.read_bytes()).hexdigest() != expected:
+        raise WeightsError(
+            f"{path} does not have the hash that its card states", hint="reinstall gcnd: the file is damaged"
+        )
+
+
+def _check_layout(path: Path, cascade: Cascade, tensors: dict[str, Any]) -> None:
+    wanted = {name: tuple(tensor.shape) for name, tensor in cascade.state_dict().items()}
+    found = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    for name in sorted(wanted.keys() | found.keys()):
+        if wanted.get(name) != found.get(name):
+            raise WeightsError(
+                f"{path} does not fit its own description: {name} has shape {found.get(name)}, "
+                f"expected {wanted.get(name)}"
+            )
+
+
+__all__ = ["ModelInfo", "checked_device", "list_models", "load_cascade", "load_header", "save_cascade"]
