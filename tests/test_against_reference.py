@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from reference import bilateral_normal, filters, meshes
-from reference.patches import PatchReference, face_class
 from scipy.spatial import cKDTree
 
 from gcnd import _geom
+from reference import bilateral_normal, filters, meshes
+from reference.patches import PatchReference, face_class
 
 CLASS_NAMES = ["flat", "edge", "corner", "transitional"]
 N_CENTERS = 40
@@ -39,11 +40,11 @@ def case(request: pytest.FixtureRequest) -> Case:
     return make_case(*meshes.open_sphere(3), amplitude=0.02)
 
 
-def extract(case: Case, n_nodes: int, **options: Any) -> dict[str, np.ndarray]:
+def extract(case: Case, n_nodes: int, **options: Any) -> dict[str, Any]:
     centers = case.centers()
     extractor = _geom.PatchExtractor(case.topology, case.vertices, n_nodes=n_nodes, **options)
     shape = (len(centers), n_nodes)
-    arrays = {
+    arrays: dict[str, Any] = {
         "features": np.zeros((*shape, extractor.n_channels), np.float32),
         "neighbors": np.zeros((*shape, 3), np.int32),
         "face_ids": np.zeros(shape, np.uint32),
@@ -69,7 +70,7 @@ def test_face_geometry(case: Case) -> None:
 
 def test_edge_neighbors(case: Case) -> None:
     offsets, values = case.topology.edge_neighbors()
-    rows = [set(values[a:b].tolist()) for a, b in zip(offsets[:-1], offsets[1:], strict=True)]
+    rows = [set(values[a:b].tolist()) for a, b in pairwise(offsets)]
     assert rows == meshes.edge_neighbors(case.faces)
 
 
@@ -193,14 +194,14 @@ def test_vertex_error(case: Case) -> None:
         s, t = np.sqrt(rng.random((n, 1))), rng.random((n, 1))
         clouds.append((1 - s) * a + s * (1 - t) * b + s * t * c)
     diagonal = np.linalg.norm(case.clean[faces].max((0, 1)) - case.clean[faces].min((0, 1)))
-    want = cKDTree(clouds[1]).query(clouds[0])[0].mean() / diagonal
+    want = np.mean(cKDTree(clouds[1]).query(clouds[0])[0]) / diagonal
     ids = faces.astype(np.uint32)
     got = _geom.vertex_error(case.vertices, ids, case.clean, ids, n, 0)
     assert got == pytest.approx(want, rel=0.03)
 
 
 def test_bilateral_baseline_is_the_same_filter(case: Case) -> None:
-    """With the face itself and the boundary's vertices taking part, as in Eqs. 5 and 6, the baseline is them."""
+    """With the face itself and boundary vertices taking part, the baseline is Eqs. 5 and 6."""
     want = bilateral_normal.filter_normals(
         case.vertices, case.faces, sigma_r=0.35, iterations=5, include_center=True
     )

@@ -42,7 +42,11 @@ def denoise_calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 
     def denoise(mesh: trimesh.Trimesh, **options: Any) -> trimesh.Trimesh:
         calls.append({"mesh": mesh, **options})
-        for fraction, stage in ((0.0, "normals, pass 1 of 2"), (0.3, "normals, pass 1 of 2"), (0.5, "[2/2]")):
+        for fraction, stage in (
+            (0.0, "normals, pass 1 of 2"),
+            (0.3, "normals, pass 1 of 2"),
+            (0.5, "[bold] 2"),
+        ):
             options["progress"](fraction, stage)
         clean = mesh.copy()
         clean.vertices += 1.0
@@ -65,7 +69,8 @@ def test_denoise_passes_every_option_on(
     mesh_path: Path, denoise_calls: list[dict[str, Any]], capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = mesh_path.with_name("out.obj")
-    options = "--preset paper --device cuda --seed 7 --normal-iterations 4 --vertex-iterations 3".split()
+    options = ["--preset", "paper", "--device", "cuda", "--seed", "7"]
+    options += ["--normal-iterations", "4", "--vertex-iterations", "3"]
     assert main(["denoise", str(mesh_path), str(out), *options]) == 0
     (call,) = denoise_calls
     assert np.array_equal(call.pop("mesh").vertices, VERTICES)
@@ -81,7 +86,7 @@ def test_denoise_passes_every_option_on(
     printed = capsys.readouterr()
     assert printed.out == ""
     stages = printed.err.splitlines()
-    assert stages[:2] == ["normals, pass 1 of 2 (0% done)", "[2/2] (50% done)"]
+    assert stages[:2] == ["normals, pass 1 of 2 (0% done)", "[bold] 2 (50% done)"]
     assert stages[2].startswith(f"wrote {out}: 4 faces in ")
 
 
@@ -152,7 +157,7 @@ def test_terminal_gets_a_bar(
     assert main(["denoise", str(mesh_path), str(mesh_path.with_name("out.ply"))]) == 0
     printed = capsys.readouterr()
     assert printed.out == ""
-    assert "[2/2]" in printed.err
+    assert "[bold] 2" in printed.err
     assert "50%" in printed.err
     assert "(50% done)" not in printed.err
     assert len(denoise_calls) == 1
@@ -164,7 +169,11 @@ def test_terminal_gets_a_bar(
 @pytest.mark.parametrize(
     ("raised", "code", "told"),
     [
-        (ConfigError("no preset 'x'", hint="see gcnd models"), 1, "error: no preset 'x'\n\nhint: see gcnd models\n"),
+        (
+            ConfigError("no preset 'x'", hint="see gcnd models"),
+            1,
+            "error: no preset 'x'\n\nhint: see gcnd models\n",
+        ),
         (GcndError("odd"), 1, "error: odd\n"),
         (OSError(28, "No space left on device", "/data/a"), 1, "error: /data/a: No space left on device\n"),
         (OSError("bare"), 1, "error: bare\n"),
@@ -270,6 +279,16 @@ def test_evaluate_prints_both_errors(
     assert [call[4:] for call in calls] == [(200_000, 0), (10, 2)]
     assert np.array_equal(calls[0][0], VERTICES + 1.0)
     assert np.array_equal(calls[0][2], VERTICES)
+
+
+def test_error_that_is_not_defined_is_null_in_json(
+    mesh_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stand_in(monkeypatch, "gcnd.metrics", normal_error=lambda *_: float("nan"), vertex_error=lambda *_: 0.001)
+    assert main(["evaluate", str(mesh_path), str(mesh_path), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["normal_error_degrees"] is None
+    assert report["vertex_error_times_1000"] == 1.0
 
 
 def test_evaluate_needs_the_same_faces(mesh_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from pathlib import Path
 
@@ -47,6 +46,14 @@ def test_split_seams_keeps_every_corner(n_vertices: int, n_faces: int, n_values:
     assert len(source) == n_vertices + len(pairs) - len(vertices_with_value)
 
 
+def test_copies_follow_in_the_order_of_the_file() -> None:
+    faces = np.array([[0, 1, 2], [2, 1, 0]])
+    new_faces, source, value = split_seams(faces, np.array([[0, 1, 2], [5, 4, 3]]), 3)
+    assert new_faces.tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert source.tolist() == [0, 1, 2, 2, 1, 0]
+    assert value.tolist() == [0, 1, 2, 5, 4, 3]
+
+
 def test_colours_of_every_type() -> None:
     assert rgba_from_values(np.array([[0.0, 0.5, 1.0, 0.2]])).tolist() == [[0, 128, 255, 51]]
     assert rgba_from_values(np.array([[1, 0, 255]], dtype=np.uint8)).tolist() == [[1, 0, 255, 255]]
@@ -88,7 +95,7 @@ property int vertex1
 property int vertex2
 end_header
 0 0 0 0 0 1 10 20 30 0.5
-1000000.25 0 0 0 0 1 11 21 31 1.5
+1000000.3 0 0 0 0 1 11 21 31 1.5
 1 1 0 0 0 1 12 22 32 2.5
 0 1 0 0 0 1 13 23 33 3.5
 3 0 1 2 7
@@ -99,7 +106,7 @@ end_header
 
 def test_text_ply(tmp_path: Path) -> None:
     mesh = load(written(tmp_path, "a.ply", TEXT_PLY))
-    assert mesh.vertices[1].tolist() == [1000000.25, 0, 0]
+    assert mesh.vertices[1].tolist() == [1000000.3, 0, 0]
     assert mesh.faces.tolist() == TWO_FACES.tolist()
     assert mesh.visual.vertex_colors[3].tolist() == [13, 23, 33, 255]
     assert mesh.vertex_attributes["quality"].tolist() == [0.5, 1.5, 2.5, 3.5]
@@ -148,8 +155,8 @@ def test_ply_keeps_64_bits_where_the_input_had_them(tmp_path: Path, is_double: b
 
 def test_big_endian_ply_whose_data_begins_like_a_line_ending() -> None:
     header = (
-        b"ply\r\nformat binary_big_endian 1.0\r\nelement vertex 3\r\nproperty double x\r\nproperty double y\r\n"
-        b"property double z\r\nelement face 1\r\nproperty list uint8 int32 vertex_index\r\nend_header\r\n"
+        b"ply\r\nformat binary_big_endian 1.0\r\nelement vertex 3\r\n"
+        b"property double x\r\nproperty double y\r\nproperty double z\r\nelement face 1\r\nproperty list uint8 int32 vertex_index\r\nend_header\r\n"
     )
     first = struct.unpack(">d", b"\n\x0d" + bytes(6))[0]
     corners = np.array([[first, 2, 3], [4, 5, 6], [7, 8, 9.5]], dtype=">f8")
@@ -190,7 +197,8 @@ def test_polygons_in_ply_are_named(tmp_path: Path, faces: list[list[int]], messa
 def test_ply_texture_coordinates_per_face_split_the_seam_only(tmp_path: Path) -> None:
     header = (
         "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
-        "element face 2\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n"
+        "element face 2\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\n"
+        "end_header\n"
     )
     corners = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n"
     faces = "3 0 1 2 6 0 0 1 0 1 1\n3 0 2 3 6 0.5 0.5 1 1 0 1\n"
@@ -236,7 +244,11 @@ def test_faults_of_a_ply_file_are_named(tmp_path: Path, old: str, new: str, mess
 def test_point_cloud_is_refused(tmp_path: Path) -> None:
     cloud = TEXT_PLY[: TEXT_PLY.index("element face")] + "end_header\n"
     cloud += TEXT_PLY.partition("end_header\n")[2].partition("3 0 1 2")[0]
-    for name, content in [("a.ply", cloud), ("a.obj", "v 0 0 0\nv 1 0 0\n"), ("a.off", "OFF\n1 0 0\n0 0 0\n")]:
+    for name, content in [
+        ("a.ply", cloud),
+        ("a.obj", "v 0 0 0\nv 1 0 0\n"),
+        ("a.off", "OFF\n1 0 0\n0 0 0\n"),
+    ]:
         with pytest.raises(MeshError, match="no faces") as caught:
             load(written(tmp_path, name, content))
         assert caught.value.hint == "a point cloud must be meshed first"
@@ -319,85 +331,3 @@ def test_binary_stl_that_begins_with_solid(tmp_path: Path) -> None:
         load(written(tmp_path, "d.stl", bytes(data[:-10])))
     with pytest.raises(MeshError, match="3 bytes follow the 2 faces"):
         load(written(tmp_path, "e.stl", bytes(data) + b"abc"))
-
-
-# --- GLB ---------------------------------------------------------------------------------------------
-
-
-def glb_of(scene: trimesh.Scene) -> bytes:
-    data: bytes = scene.export(file_type="glb")
-    return data
-
-
-def edited_glb(data: bytes, **changes: object) -> bytes:
-    """The same file with keys of its JSON header replaced."""
-    n_json = int.from_bytes(data[12:16], "little")
-    header = {**json.loads(data[20 : 20 + n_json]), **changes}
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + n_json :]
-    return (
-        b"glTF" + struct.pack("<IIII", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
-    )
-
-
-def test_scene_of_one_mesh_is_placed(tmp_path: Path) -> None:
-    mirror = np.diag([-2.0, 1.0, 1.0, 1.0])
-    mirror[:3, 3] = [10, 20, 30]
-    scene = trimesh.Scene()
-    scene.add_geometry(trimesh.Trimesh(SQUARE, TWO_FACES, process=False), transform=mirror)
-    mesh = load(written(tmp_path, "a.glb", glb_of(scene)))
-    assert np.array_equal(mesh.vertices, SQUARE * [-2, 1, 1] + [10, 20, 30])
-    assert mesh.faces.tolist() == [[0, 2, 1], [0, 3, 2]]
-    assert np.allclose(mesh.face_normals, [[0, 0, 1], [0, 0, 1]])
-
-
-def test_scene_is_joined_only_without_loss(tmp_path: Path) -> None:
-    parts = [trimesh.Trimesh(SQUARE + i, TWO_FACES, process=False) for i in range(2)]
-    path = tmp_path / "a.glb"
-    path.write_bytes(glb_of(trimesh.Scene(parts)))
-    mesh = load(path)
-    assert np.array_equal(mesh.vertices, np.concatenate([SQUARE, SQUARE + 1]))
-    assert np.array_equal(mesh.faces, np.concatenate([TWO_FACES, TWO_FACES + 4]))
-    parts[1].visual.vertex_colors = [1, 2, 3, 255]
-    path.write_bytes(glb_of(trimesh.Scene(parts)))
-    with pytest.raises(MeshError, match="2 meshes that do not fit into one: .* different colours") as caught:
-        load(path)
-    assert "join the parts" in (caught.value.hint or "")
-    for part, color in zip(parts, ([255, 0, 0, 255], [0, 255, 0, 255]), strict=True):
-        material = trimesh.visual.material.PBRMaterial(baseColorFactor=color)
-        part.visual = trimesh.visual.TextureVisuals(uv=np.zeros((4, 2)), material=material)
-    path.write_bytes(glb_of(trimesh.Scene(parts)))
-    with pytest.raises(MeshError, match="different materials"):
-        load(path)
-    parts[1].visual.material = parts[0].visual.material
-    path.write_bytes(glb_of(trimesh.Scene(parts)))
-    joined = load(path)
-    assert joined.visual.uv.shape == (8, 2)
-    assert joined.visual.material.baseColorFactor.tolist() == [255, 0, 0, 255]
-
-
-def test_glb_that_trimesh_would_misread_is_refused(tmp_path: Path) -> None:
-    data = glb_of(trimesh.Scene(trimesh.Trimesh(SQUARE, TWO_FACES, process=False)))
-    for changes, message in [
-        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "extension KHR_draco_mesh_compression"),
-        ({"extensionsRequired": ["KHR_mesh_quantization"]}, "extension KHR_mesh_quantization"),
-        ({"accessors": [{"sparse": {}}]}, "sparse accessors"),
-        ({"meshes": [{"primitives": [{"mode": 1}]}]}, "primitive 0 of mesh 0 holds lines, not triangles"),
-        ({"meshes": [{"primitives": [{}, {"mode": 6}]}]}, "primitive 1 of mesh 0 holds a triangle fan"),
-        ({"nodes": [], "scenes": [{"nodes": []}]}, "holds no mesh"),
-    ]:
-        with pytest.raises(MeshError, match=message):
-            load(written(tmp_path, "a.glb", edited_glb(data, **changes)))
-    unharmed = edited_glb(data, extensionsRequired=["KHR_materials_unlit"])
-    assert np.array_equal(load(written(tmp_path, "b.glb", unharmed)).vertices, SQUARE)
-
-
-def test_glb_colours_and_attributes_survive(tmp_path: Path) -> None:
-    mesh = trimesh.Trimesh(SQUARE, TWO_FACES, process=False)
-    mesh.visual.vertex_colors = np.arange(16, dtype=np.uint8).reshape(4, 4)
-    mesh.vertex_attributes["_quality"] = np.array([1, 2, 3, 4], dtype=np.float32)
-    save(mesh, tmp_path / "a.glb")
-    again = load(tmp_path / "a.glb")
-    assert np.array_equal(again.visual.vertex_colors, mesh.visual.vertex_colors)
-    assert again.vertex_attributes["_quality"].ravel().tolist() == [1, 2, 3, 4]

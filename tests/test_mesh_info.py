@@ -83,6 +83,15 @@ def test_hand_counts(vertices: object, faces: object, expected: dict[str, object
     assert {name: info[name] for name in expected} == expected  # type: ignore[literal-required]
 
 
+def test_rounding_does_not_give_a_line_an_area() -> None:
+    direction = np.array([0.1, 0.7, 0.3])
+    on_a_line = np.outer([0.0, 1 / 3, 0.77], direction)
+    # The premise: rounding leaves a cross product that is small and not zero.
+    assert 0.0 < np.linalg.norm(np.cross(on_a_line[1], on_a_line[2])) < 1e-15
+    assert mesh_info(on_a_line, [[0, 1, 2]])["zero_area_faces"] == 1
+    assert mesh_info([[0, 0, 0], [0, 0, 0], [1, 0, 0]], [[0, 1, 2]])["zero_area_faces"] == 1
+
+
 def test_soup_of_a_closed_mesh_is_watertight() -> None:
     sphere = trimesh.creation.icosphere(2)
     corners = sphere.vertices[sphere.faces].reshape(-1, 3)

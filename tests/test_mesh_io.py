@@ -40,10 +40,11 @@ def textured_mesh() -> trimesh.Trimesh:
 
 
 def test_arrays_have_the_core_types() -> None:
-    arrays, _ = to_arrays((VERTICES.astype(np.float32), FACES))
+    arrays, _ = to_arrays((np.asfortranarray(VERTICES.astype(np.float32)), np.asfortranarray(FACES)))
     assert arrays.vertices.dtype == np.float64
     assert arrays.faces.dtype == np.uint32
     assert arrays.vertices.flags.c_contiguous
+    assert arrays.faces.flags.c_contiguous
     assert np.array_equal(arrays.faces, FACES)
 
 
@@ -69,7 +70,10 @@ def test_trimesh_comes_back_with_everything_but_stale_normals() -> None:
 def test_input_is_not_changed_and_shares_no_memory() -> None:
     mesh = colored_mesh()
     arrays, rebuild = to_arrays(mesh)
-    moved = rebuild(arrays.vertices + 1.0)
+    new_vertices = arrays.vertices + 1.0
+    moved = rebuild(new_vertices)
+    new_vertices[:] = 5.0
+    assert np.array_equal(moved.vertices, VERTICES + 1.0)
     arrays.vertices[:] = 0.0
     moved.vertices[:] = -1.0
     moved.visual.vertex_colors[:] = 0
@@ -207,8 +211,10 @@ def test_every_truncation_is_noticed(tmp_path: Path, extension: str) -> None:
     n_optional = 2 if extension in (".obj", ".off") else 1
     for n_bytes in range(0, len(data) - n_optional, 7):
         cut.write_bytes(data[:n_bytes])
-        if extension == ".obj" and data[:n_bytes].count(b"\nf ") > 0 and data[:n_bytes].endswith(
-            (b"\n", *(str(digit).encode() for digit in range(10)))
+        if (
+            extension == ".obj"
+            and data[:n_bytes].count(b"\nf ") > 0
+            and data[:n_bytes].endswith((b"\n", *(str(digit).encode() for digit in range(10))))
         ):
             continue  # an OBJ file announces no counts: cut between faces it is whole
         with pytest.raises(MeshError):
@@ -265,7 +271,7 @@ def test_cached_normals_are_not_written(tmp_path: Path, extension: str) -> None:
 
 
 def test_unknown_extension_is_refused_before_any_work(tmp_path: Path) -> None:
-    with pytest.raises(MeshError, match="unknown mesh format '.step'") as caught:
+    with pytest.raises(MeshError, match=r"unknown mesh format '\.step'") as caught:
         save("not even a mesh", tmp_path / "a.step")
     assert caught.value.hint == "supported: .ply, .obj, .stl, .off, .glb"
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from gcnd.cli import denoise, evaluate, info, models, noise
+from gcnd.cli import denoise, evaluate, info, models, noise, train
 from gcnd.errors import GcndError
 
 __all__ = ["app", "main"]
@@ -27,6 +27,7 @@ app.command("noise")(noise.run)
 app.command("evaluate")(evaluate.run)
 app.command("info")(info.run)
 app.command("models")(models.run)
+app.command("train")(train.run)
 
 _EXIT_ERROR, _EXIT_INTERRUPTED = 1, 130
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -24,8 +25,20 @@ JsonFlag: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON.")
 
 
 def print_json(value: Any) -> None:
-    """Prints a value as indented JSON on stdout."""
-    print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False))
+    """Prints a value as indented JSON on stdout; JSON has no NaN or infinity, which become null."""
+    print(json.dumps(_without_nan(value), indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def _without_nan(value: Any) -> Any:
+    match value:
+        case Mapping():
+            return {key: _without_nan(member) for key, member in value.items()}
+        case list():
+            return [_without_nan(member) for member in value]
+        case float() if not math.isfinite(value):
+            return None
+        case _:
+            return value
 
 
 def print_table(rows: Mapping[str, Any]) -> None:

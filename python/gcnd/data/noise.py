@@ -124,20 +124,41 @@ def add_noise(
         >>> bool(np.all(noisy[:, :2] == grid[:, :2])), bool(np.any(noisy[:, 2] != 0))
         (True, True)
     """
-    _check(kind, level, fraction)
-    clean = np.asarray(vertices, dtype=np.float64)
-    # Adding zero turns -0.0 into 0.0, so that both are one position.
-    welded, inverse = np.unique(clean + 0.0, axis=0, return_inverse=True)
-    inverse = inverse.reshape(-1)
-    welded_faces = inverse[np.asarray(faces)]
-    sigma = level * mean_edge_length(welded, welded_faces)
-    rng = np.random.default_rng(seed)
-    if kind == "isotropic":
-        offset = rng.standard_normal(welded.shape)
-    else:
-        amplitude = _AMPLITUDES[kind](rng, len(welded), welded_faces, fraction)
-        offset = amplitude[:, None] * vertex_normals(welded, welded_faces)
-    return np.asarray(clean + sigma * offset[inverse], dtype=np.float64)
+    return NoiseSource(vertices, faces).sample(kind=kind, level=level, fraction=fraction, seed=seed)
+
+
+class NoiseSource:
+    """A clean mesh with what every noisy version of it needs, for drawing many: see `add_noise` for the formulas.
+
+    Args:
+        vertices: (V, 3) float64, clean positions in mesh units.
+        faces: (F, 3), vertex ids.
+    """
+
+    def __init__(self, vertices: FloatArray, faces: FaceArray) -> None:
+        self._clean = np.asarray(vertices, dtype=np.float64)
+        # Adding zero turns -0.0 into 0.0, so that both are one position.
+        welded, inverse = np.unique(self._clean + 0.0, axis=0, return_inverse=True)
+        self._inverse = inverse.reshape(-1)
+        self._faces = self._inverse[np.asarray(faces)]
+        self._normals = vertex_normals(welded, self._faces)
+        self.mean_edge = mean_edge_length(welded, self._faces)
+
+    def sample(
+        self, *, kind: NoiseKind = "gaussian", level: float = 0.2, fraction: float = 0.3, seed: int = 0
+    ) -> FloatArray:
+        """Return one noisy version, (V, 3) float64; arguments and errors as in `add_noise`."""
+        _check(kind, level, fraction)
+        rng = np.random.default_rng(seed)
+        n_vertices = len(self._normals)
+        if kind == "isotropic":
+            offset = rng.standard_normal((n_vertices, 3))
+        else:
+            amplitude = _AMPLITUDES[kind](rng, n_vertices, self._faces, fraction)
+            offset = amplitude[:, None] * self._normals
+        return np.asarray(
+            self._clean + level * self.mean_edge * offset[self._inverse], dtype=np.float64
+        )
 
 
 def _check(kind: str, level: float, fraction: float) -> None:
@@ -170,8 +191,24 @@ def _averaging(n_vertices: int, faces: npt.NDArray[np.integer]) -> sparse.csr_ar
     return sparse.csr_array((weights, (rows, columns)), shape=(n_vertices, n_vertices))
 
 
-def _smoothed(values: FloatArray, faces: npt.NDArray[np.integer], rounds: int) -> FloatArray:
-    """Return vertex values averaged over the vertex graph ``rounds`` times."""
+def smoothed(values: FloatArray, faces: npt.NDArray[np.integer], rounds: int) -> FloatArray:
+    """Return vertex values averaged over the vertex graph `rounds` times.
+
+    x_v <- (x_v + sum over the neighbours u of x_u) / (1 + number of neighbours).
+
+    Args:
+        values: (V,) float64.
+        faces: (F, 3), vertex ids.
+        rounds: How often, >= 0.
+
+    Returns:
+        (V,) float64.
+
+    Example:
+        >>> import numpy as np
+        >>> smoothed(np.array([3.0, 0.0, 0.0]), np.array([[0, 1, 2]]), 1).tolist()
+        [1.0, 1.0, 1.0]
+    """
     average = _averaging(len(values), faces)
     for _ in range(rounds):
         values = average @ values
@@ -196,7 +233,7 @@ def _impulsive(
 def _varying(
     rng: np.random.Generator, n_vertices: int, faces: npt.NDArray[np.integer], _fraction: float
 ) -> FloatArray:
-    field = _smoothed(rng.standard_normal(n_vertices), faces, _VARYING_SMOOTHING)
+    field = smoothed(rng.standard_normal(n_vertices), faces, _VARYING_SMOOTHING)
     # Ranks spread the factors evenly over their range whatever the field's distribution.
     share = np.argsort(np.argsort(field, kind="stable"), kind="stable") / max(n_vertices - 1, 1)
     low, high = VARYING_RANGE
@@ -207,7 +244,7 @@ def _correlated(
     rng: np.random.Generator, n_vertices: int, faces: npt.NDArray[np.integer], _fraction: float
 ) -> FloatArray:
     rounds = int(rng.integers(*_CORRELATED_SMOOTHING, endpoint=True))
-    smooth = _smoothed(rng.standard_normal(n_vertices), faces, rounds)
+    smooth = smoothed(rng.standard_normal(n_vertices), faces, rounds)
     scale = float(np.sqrt(np.mean(smooth**2)))
     return smooth / scale if scale > 0 else smooth
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 
-from gcnd.data.shapes_profiles import circle, lathe_profile, outline, polygon, rectangle, segments
+from gcnd.data.shapes_profiles import ball_segments, circle, lathe_profile, outline, polygon, rectangle, rounded, segments
 
 Part = Callable[[np.random.Generator], Manifold]
 
@@ -31,7 +31,7 @@ def cad_solid(rng: np.random.Generator) -> tuple[str, Manifold]:
         True
     """
     names = list(FAMILIES)
-    name = names[int(rng.integers(len(names)))]
+    name = names[int(rng.choice(len(names), p=_SHARES))]
     solid = _fit(FAMILIES[name](rng))
     for feature, chance in _FEATURES:
         while rng.random() < chance:
@@ -89,7 +89,7 @@ def _primitive(rng: np.random.Generator) -> Manifold:
     if choice == 2:
         return Manifold.cylinder(2 * h, r, r * float(rng.uniform(0, 0.6)), segments(r), True)
     if choice == 3:
-        return Manifold.sphere(r, segments(r))
+        return Manifold.sphere(r, ball_segments(r))
     if choice == 4:
         tube = circle(float(rng.uniform(0.25, 0.6)) * r).translate((r, 0.0))
         return tube.revolve(segments(r))
@@ -161,18 +161,62 @@ def _plate(rng: np.random.Generator) -> Manifold:
 
 
 def _bracket(rng: np.random.Generator) -> Manifold:
-    """Two flanges, a gusset between them, and bores."""
-    t, w = float(rng.uniform(0.08, 0.16)), float(rng.uniform(0.4, 0.9))
-    foot = Manifold.cube((1.0, w, t))
-    wall = Manifold.cube((t, w, float(rng.uniform(0.5, 0.9))))
-    gusset = polygon_prism(np.array([[0.0, 0.0], [0.6, 0.0], [0.0, 0.45]]), t)
-    solid = foot + wall + gusset.rotate((90.0, 0.0, 0.0)).translate((0.0, 0.5 * w + 0.5 * t, 0.0))
-    for x in (0.45, 0.8):
-        r = float(rng.uniform(0.04, 0.09))
-        bore = Manifold.cylinder(1.0, r, r, segments(r), True)
-        for y in (0.25 * w, 0.75 * w):
-            solid -= bore.translate((x, y, 0.0))
+    """Two flanges with a fillet in between, gussets and bores."""
+    t, w, tall = (float(x) for x in rng.uniform([0.06, 0.3, 0.4], [0.18, 1.0, 1.0]))
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, t], [t, t], [t, tall], [0.0, tall]])
+    profile = CrossSection([corners])
+    if rng.random() < 0.6:
+        profile = rounded(profile, float(rng.uniform(0.2, 0.45)) * t)
+    solid = profile.extrude(w).rotate((90.0, 0.0, 0.0)).translate((0.0, w, 0.0))
+    reach = float(rng.uniform(0.25, 0.8)) * min(1.0, tall)
+    gusset = polygon_prism(np.array([[0.0, 0.0], [reach, 0.0], [0.0, reach]]), 0.6 * t)
+    for place in rng.uniform(0.1, 0.9, int(rng.integers(0, 4))):
+        shift = (0.9 * t, float(place) * w + 0.3 * t, 0.9 * t)
+        solid += gusset.rotate((90.0, 0.0, 0.0)).translate(shift)
+    for _ in range(int(rng.integers(1, 6))):
+        r = float(rng.uniform(0.03, 0.1))
+        bore = Manifold.cylinder(3.0, r, r, segments(r), True)
+        if rng.random() < 0.4:
+            bore = bore.rotate((0.0, 90.0, 0.0)).translate((0.0, 0.0, tall * float(rng.uniform(0.4, 0.8))))
+        else:
+            bore = bore.translate((float(rng.uniform(0.4, 0.85)), 0.0, 0.0))
+        solid -= bore.translate((0.0, w * float(rng.uniform(0.2, 0.8)), 0.0))
     return solid
+
+
+def _pipe(rng: np.random.Generator) -> Manifold:
+    """Bends and straights of one pipe with flanges between them."""
+    r = float(rng.uniform(0.06, 0.14))
+    bore = r * float(rng.uniform(0.5, 0.85))
+    outer, inner = [], []
+    frame = np.eye(4)[:3]
+    for _ in range(int(rng.integers(2, 5))):
+        if rng.random() < 0.5:
+            length = float(rng.uniform(0.15, 0.5))
+            piece = Manifold.cylinder(length, r, r, segments(r))
+            hollow = Manifold.cylinder(length + 0.02, bore, bore, segments(bore)).translate((0.0, 0.0, -0.01))
+            onward = np.eye(4)
+            onward[2, 3] = length
+            if rng.random() < 0.5:
+                wide = r * float(rng.uniform(1.3, 1.8))
+                piece += Manifold.cylinder(0.06, wide, wide, segments(wide)).translate((0.0, 0.0, 0.5 * length))
+        else:
+            angle, radius = float(rng.uniform(30, 120)), r * float(rng.uniform(1.3, 2.5))
+            ring = circle(r).translate((radius, 0.0)).revolve(segments(radius + r), angle)
+            hole = circle(bore).translate((radius, 0.0)).revolve(segments(radius + r), angle)
+            piece, hollow = (x.translate((-radius, 0.0, 0.0)).rotate((90.0, 0.0, 0.0)) for x in (ring, hole))
+            turn = np.radians(angle)
+            onward = np.eye(4)
+            onward[:3, :3] = [[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]]
+            onward[:3, 3] = [radius * (np.cos(turn) - 1), 0.0, radius * np.sin(turn)]
+        outer.append(piece.transform(frame))
+        inner.append(hollow.transform(frame))
+        spin = np.eye(4)
+        a = rng.uniform(0, 2 * np.pi)
+        spin[:2, :2] = [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
+        frame = (np.vstack([frame, [0, 0, 0, 1]]) @ onward @ spin)[:3]
+    solid = Manifold.batch_boolean(outer, OpType.Add)
+    return solid - Manifold.batch_boolean(inner, OpType.Add) if rng.random() < 0.6 else solid
 
 
 def polygon_prism(corners: np.ndarray, height: float) -> Manifold:
@@ -205,7 +249,7 @@ def _housing(rng: np.random.Generator) -> Manifold:
 def _rounded(rng: np.random.Generator) -> Manifold:
     """A block with rounded edges: the hull of balls, cut by planes so that sharp edges meet blends."""
     radius = float(rng.uniform(0.05, 0.2))
-    ball = Manifold.sphere(radius, segments(radius))
+    ball = Manifold.sphere(radius, ball_segments(radius))
     half = rng.uniform(0.1, 0.45, 3)
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     corners = signs * half + 0.3 * half * rng.standard_normal((8, 3)) * (rng.random() < 0.4)
@@ -217,11 +261,11 @@ def _rounded(rng: np.random.Generator) -> Manifold:
 
 def _balls(rng: np.random.Generator) -> Manifold:
     """Balls joined and cut along sharp circles."""
-    solid = Manifold.sphere(0.5, segments(0.5))
+    solid = Manifold.sphere(0.5, ball_segments(0.5))
     for _ in range(int(rng.integers(2, 7))):
         r = float(rng.uniform(0.15, 0.4))
         way = rng.standard_normal(3)
-        ball = Manifold.sphere(r, segments(r)).translate(
+        ball = Manifold.sphere(r, ball_segments(r)).translate(
             _triple(way / np.linalg.norm(way) * rng.uniform(0.4, 0.6))
         )
         solid = solid - ball if rng.random() < 0.6 else solid + ball
@@ -253,6 +297,7 @@ FAMILIES: dict[str, Part] = {
     "turned": _turned_part,
     "plate": _plate,
     "bracket": _bracket,
+    "pipe": _pipe,
     "housing": _housing,
     "rounded": _rounded,
     "balls": _balls,
@@ -260,6 +305,8 @@ FAMILIES: dict[str, Part] = {
     "gem": _gem,
 }
 """The families of parts by name."""
+
+_SHARES = np.array([0.16, 0.14, 0.15, 0.12, 0.07, 0.08, 0.07, 0.07, 0.06, 0.05, 0.03])
 
 
 def _trimmed(rng: np.random.Generator, solid: Manifold) -> Manifold:

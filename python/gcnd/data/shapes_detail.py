@@ -7,19 +7,21 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gcnd.data.noise import vertex_normals
-from gcnd.data.shapes_organic import FaceArray, FloatArray, SmoothNoise
+from gcnd.data.noise import FaceArray, FloatArray, vertex_normals
+from gcnd.data.shapes_field import SmoothNoise
 
 Relief = Callable[[np.random.Generator, FloatArray, float], FloatArray]
+
+_MAX_HEIGHT = 0.018
 
 
 def add_relief(
     rng: np.random.Generator, vertices: FloatArray, faces: FaceArray, edge_length: float
 ) -> tuple[str, FloatArray]:
-    """Return a fine mesh's vertices moved along their normals by one to three layers of relief.
+    """Return a fine mesh's vertices moved along their normals by one to four layers of relief.
 
-    Each layer has a wavelength of 4 to 20 edge lengths of the mesh to be made, an amplitude of 4 to 15 % of that
-    wavelength, and covers either everything or patches that fade out.
+    Each layer has a wavelength of 5 to 20 edge lengths of the mesh to be made, a height of 6 to 20 % of that
+    wavelength and at most 0.018 mesh units, and covers either everything or patches that fade out.
 
     Args:
         rng: Draws everything.
@@ -40,12 +42,12 @@ def add_relief(
     """
     names = []
     moved = vertices
-    for _ in range(int(rng.integers(1, 4))):
+    for _ in range(int(rng.integers(1, 5))):
         name = list(RELIEFS)[int(rng.integers(len(RELIEFS)))]
-        wavelength = edge_length * float(np.exp(rng.uniform(np.log(4.0), np.log(20.0))))
-        height = wavelength * float(rng.uniform(0.04, 0.15))
+        wavelength = edge_length * float(np.exp(rng.uniform(np.log(5.0), np.log(20.0))))
+        height = min(wavelength * float(rng.uniform(0.06, 0.2)), _MAX_HEIGHT)
         layer = RELIEFS[name](rng, vertices, wavelength)
-        if rng.random() < 0.5:
+        if rng.random() < 0.4:
             mask = SmoothNoise(rng, float(rng.uniform(0.25, 0.7)))(vertices)
             layer = layer * _fade(mask, -0.3, 0.5)
         moved = moved + height * layer[:, None] * vertex_normals(moved, faces)
@@ -75,7 +77,7 @@ def _bumps(rng: np.random.Generator, points: FloatArray, wavelength: float) -> F
 def _ridges(rng: np.random.Generator, points: FloatArray, wavelength: float) -> FloatArray:
     """Creases where the noise changes sign, as in folds and bark."""
     noise = SmoothNoise(rng, 1.6 * wavelength)(points)
-    return np.asarray(1.0 - 1.2 * np.sqrt(noise**2 + 0.01))
+    return np.asarray(1.0 - np.sqrt(noise**2 + 0.05))
 
 
 def _scales(rng: np.random.Generator, points: FloatArray, wavelength: float) -> FloatArray:
@@ -84,7 +86,7 @@ def _scales(rng: np.random.Generator, points: FloatArray, wavelength: float) -> 
     distances, _ = cKDTree(centres).query(points, k=2)
     gap = (distances[:, 1] - distances[:, 0]) / wavelength
     dome = 1 - (distances[:, 0] / wavelength) ** 2
-    seam = _fade(gap, 0.0, 0.35)
+    seam = _fade(gap, 0.0, 0.45)
     return np.asarray((dome if rng.random() < 0.5 else 1.0) * seam)
 
 
@@ -107,7 +109,7 @@ def _wrinkles(rng: np.random.Generator, points: FloatArray, wavelength: float) -
     """Meandering waves."""
     way = rng.standard_normal(3)
     way /= np.linalg.norm(way)
-    phase = _warped(rng, points, wavelength, float(rng.uniform(0.3, 1.5))) @ way * (2 * np.pi / wavelength)
+    phase = _warped(rng, points, wavelength, float(rng.uniform(0.2, 0.8))) @ way * (2 * np.pi / wavelength)
     return np.asarray(0.5 * np.sin(phase))
 
 
@@ -115,18 +117,18 @@ def _strands(rng: np.random.Generator, points: FloatArray, wavelength: float) ->
     """Hair: sharp-bottomed grooves of two nearby wavelengths, flowing along a field."""
     way = rng.standard_normal(3)
     way /= np.linalg.norm(way)
-    place = _warped(rng, points, 2 * wavelength, 1.0) @ way
+    place = _warped(rng, points, 2 * wavelength, 0.5) @ way
     coarse = np.abs(np.sin(np.pi * place / (2.3 * wavelength)))
-    fine = np.abs(np.sin(np.pi * place / wavelength + 2 * SmoothNoise(rng, 8 * wavelength)(points)))
-    return np.asarray(0.6 * np.sqrt(coarse**2 + 0.02) + 0.4 * np.sqrt(fine**2 + 0.02))
+    fine = np.abs(np.sin(np.pi * place / wavelength + SmoothNoise(rng, 8 * wavelength)(points)))
+    return np.asarray(0.6 * np.sqrt(coarse**2 + 0.05) + 0.4 * np.sqrt(fine**2 + 0.05))
 
 
 def _engraving(rng: np.random.Generator, points: FloatArray, wavelength: float) -> FloatArray:
     """Flat islands with steep flanks, or lines cut along the contours of noise."""
     noise = SmoothNoise(rng, 2 * wavelength)(points)
     if rng.random() < 0.5:
-        return _fade(noise, -0.15, 0.15)
-    return np.asarray(_fade(np.abs(noise), 0.1, 0.35))
+        return _fade(noise, -0.35, 0.35)
+    return np.asarray(_fade(np.abs(noise), 0.0, 0.6))
 
 
 def _weave(rng: np.random.Generator, points: FloatArray, wavelength: float) -> FloatArray:

@@ -6,19 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 from scipy.spatial.transform import Rotation
-from skimage.measure import label, marching_cubes
 
-FloatArray = npt.NDArray[np.float64]
-FaceArray = npt.NDArray[np.uint32]
-Body = tuple[str, FloatArray, FaceArray]
+from gcnd.data.noise import FaceArray, FloatArray
+from gcnd.data.shapes_field import SmoothNoise, iso_surface, rod, smooth_union
 
-GRID = 120
-"""Grid points along the longest side of an implicit body."""
+Mesh = tuple[FloatArray, FaceArray]
 
-
-def smooth_body(rng: np.random.Generator) -> Body:
+def smooth_body(rng: np.random.Generator) -> tuple[str, FloatArray, FaceArray]:
     """Return a random smooth closed surface, finely and irregularly triangulated.
 
     Args:
@@ -39,130 +34,15 @@ def smooth_body(rng: np.random.Generator) -> Body:
     return name, vertices, faces
 
 
-def iso_surface(
-    field: Callable[[FloatArray], npt.NDArray[np.floating]], half: FloatArray
-) -> tuple[FloatArray, FaceArray]:
-    """Return the zero surface of a field that is negative inside, its largest piece, as triangles.
-
-    The field is sampled on a grid over [-half, half] and its vertices are moved onto the zero surface of the cubic
-    spline through the samples, so that normals show no trace of the grid.
-
-    Args:
-        field: (N, 3) float32 positions to (N,) values.
-        half: (3,) half sides of the box; the field must be positive on its border.
-
-    Returns:
-        (V, 3) float64 vertices and (F, 3) uint32 faces, outward; empty if the field is nowhere negative.
-
-    Example:
-        >>> import numpy as np
-        >>> v, f = iso_surface(lambda p: np.linalg.norm(p, axis=1) - 0.5, np.full(3, 0.6))
-        >>> bool(abs(np.linalg.norm(v, axis=1) - 0.5).max() < 1e-4)
-        True
-    """
-    step = 2 * float(np.max(half)) / (GRID - 1)
-    shape = [int(np.ceil(2 * h / step)) + 3 for h in half]
-    axes = [(np.arange(n) - 0.5 * (n - 1)) * step for n in shape]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
-    values = np.asarray(field(points), dtype=np.float32).reshape(shape)
-    _close_border(values, step)
-    pieces = label(values < 0, connectivity=1)
-    counts = np.bincount(pieces.reshape(-1))
-    if len(counts) < 2:
-        return np.zeros((0, 3)), np.zeros((0, 3), np.uint32)
-    keep = int(np.argmax(counts[1:])) + 1
-    values = np.where((values < 0) & (pieces != keep), np.abs(values), values)
-    voids = label(values >= 0, connectivity=1)
-    outside = voids[0, 0, 0]
-    values = np.where((values >= 0) & (voids != outside), -np.abs(values) - 1e-6, values)
-    grid_vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="descent", allow_degenerate=False)
-    grid_vertices = _onto_zero(values, grid_vertices.astype(np.float64))
-    centre = 0.5 * (np.array(shape) - 1)
-    return (grid_vertices - centre) * step, faces.astype(np.uint32)
-
-
-def _close_border(values: npt.NDArray[np.float32], step: float) -> None:
-    """Make a field positive on its border, so that its zero surface is closed."""
-    for axis in range(3):
-        for end in (0, -1):
-            border = np.moveaxis(values, axis, 0)[end]
-            np.maximum(border, step, out=border)
-
-
-def _onto_zero(values: npt.NDArray[np.float32], points: FloatArray) -> FloatArray:
-    """Move points along the spline's gradient onto its zero set; `points` in grid steps."""
-    coefficients = ndimage.spline_filter(values.astype(np.float64), order=3)
-
-    def at(p: FloatArray) -> FloatArray:
-        return np.asarray(ndimage.map_coordinates(coefficients, p.T, order=3, prefilter=False, mode="nearest"))
-
-    h = 0.05
-    for _ in range(3):
-        value = at(points)
-        slopes = [(at(points + h * e) - at(points - h * e)) / (2 * h) for e in np.eye(3)]
-        gradient = np.stack(slopes, axis=1)
-        squared = np.maximum((gradient**2).sum(axis=1), 1e-12)
-        move = -(value / squared)[:, None] * gradient
-        length = np.linalg.norm(move, axis=1, keepdims=True)
-        points = points + move * np.minimum(1.0, 0.3 / np.maximum(length, 1e-12))
-    return points
-
-
-class SmoothNoise:
-    """Band-limited random field: filtered white noise on a periodic grid, standard deviation 1.
-
-    Args:
-        rng: Draws the field.
-        wavelength: About the distance between maxima, in units of the points given later.
-
-    Example:
-        >>> import numpy as np
-        >>> noise = SmoothNoise(np.random.default_rng(0), 0.3)
-        >>> noise(np.zeros((2, 3))).shape
-        (2,)
-    """
-
-    _SIZE = 32
-    _CELLS_PER_WAVE = 4.0
-
-    def __init__(self, rng: np.random.Generator, wavelength: float) -> None:
-        white = rng.standard_normal((self._SIZE,) * 3)
-        fine = ndimage.gaussian_filter(white, 0.25 * self._CELLS_PER_WAVE, mode="wrap")
-        coarse = ndimage.gaussian_filter(white, 0.5 * self._CELLS_PER_WAVE, mode="wrap")
-        band = fine - coarse
-        self._coefficients = ndimage.spline_filter(band / band.std(), order=3, mode="grid-wrap")
-        self._scale = self._CELLS_PER_WAVE / wavelength
-        self._turn = Rotation.random(rng=rng).as_matrix()
-        self._shift = rng.uniform(0, self._SIZE, 3)
-
-    def __call__(self, points: npt.NDArray[np.floating]) -> FloatArray:
-        """Return the field at (N, 3) points, (N,) float64."""
-        cells = (np.asarray(points, np.float64) @ self._turn.T) * self._scale + self._shift
-        values = ndimage.map_coordinates(self._coefficients, cells.T, order=3, mode="grid-wrap", prefilter=False)
-        return np.asarray(values)
-
-
-def smooth_union(fields: npt.NDArray[np.floating], blend: float) -> npt.NDArray[np.floating]:
-    """Return the rounded minimum of (K, N) distances; `blend` is the radius of the rounding.
-
-    Example:
-        >>> import numpy as np
-        >>> float(smooth_union(np.array([[1.0], [5.0]]), 0.1)[0])
-        1.0
-    """
-    lowest = fields.min(axis=0)
-    return np.asarray(lowest - blend * np.log(np.exp((lowest - fields) / blend).sum(axis=0)))
-
-
-def _ellipsoids(rng: np.random.Generator) -> tuple[FloatArray, FaceArray]:
+def _ellipsoids(rng: np.random.Generator) -> Mesh:
     """Balls and ellipsoids melted together."""
     n_balls = int(rng.integers(2, 9))
     centres = rng.uniform(-0.28, 0.28, (n_balls, 3))
     radii = rng.uniform(0.1, 0.25, (n_balls, 3))
-    turns = Rotation.random(n_balls, rng=rng).as_matrix()
+    turns = Rotation.from_quat(rng.standard_normal((n_balls, 4))).as_matrix()
     blend = float(rng.uniform(0.015, 0.06))
 
-    def field(points: FloatArray) -> npt.NDArray[np.floating]:
+    def field(points: npt.NDArray[np.float32]) -> npt.NDArray[np.floating]:
         distances = []
         for centre, radius, turn in zip(centres, radii, turns, strict=True):
             local = (points - centre) @ turn.T
@@ -172,7 +52,7 @@ def _ellipsoids(rng: np.random.Generator) -> tuple[FloatArray, FaceArray]:
     return iso_surface(field, np.full(3, 0.56))
 
 
-def _figure(rng: np.random.Generator) -> tuple[FloatArray, FaceArray]:
+def _figure(rng: np.random.Generator) -> Mesh:
     """A trunk with limbs and a head, of tapered rods melted together, like a small statue."""
     trunk = [np.array([0.0, 0.0, -0.25]), np.array([0.0, 0.0, 0.15]) + rng.uniform(-0.05, 0.05, 3)]
     rods = [(trunk[0], trunk[1], float(rng.uniform(0.1, 0.16)), float(rng.uniform(0.08, 0.14)))]
@@ -189,55 +69,77 @@ def _figure(rng: np.random.Generator) -> tuple[FloatArray, FaceArray]:
     blend = float(rng.uniform(0.008, 0.035))
     noise, bump = SmoothNoise(rng, float(rng.uniform(0.15, 0.3))), float(rng.uniform(0.0, 0.008))
 
-    def field(points: FloatArray) -> npt.NDArray[np.floating]:
-        rounded = smooth_union(np.stack([_rod(points, *rod) for rod in rods]), blend)
+    def field(points: npt.NDArray[np.float32]) -> npt.NDArray[np.floating]:
+        rounded = smooth_union(np.stack([rod(points, *bone) for bone in rods]), blend)
         return rounded + bump * noise(points)
 
     return iso_surface(field, np.full(3, 0.52))
 
 
-def _rod(points: FloatArray, a: FloatArray, b: FloatArray, ra: float, rb: float) -> npt.NDArray[np.floating]:
-    """Distance to a segment less a radius that runs from `ra` to `rb`."""
-    along = (b - a).astype(np.float32)
-    share = np.clip((points - a.astype(np.float32)) @ along / max(float(along @ along), 1e-9), 0, 1)
-    gap = points - (a.astype(np.float32) + share[:, None] * along)
-    return np.asarray(np.linalg.norm(gap, axis=1) - (ra + (rb - ra) * share))
+def _head(rng: np.random.Generator) -> Mesh:
+    """A head or mask: skull, brow, nose, lips, eyes in their sockets, ears and neck, alike on both sides."""
+    skull = rng.uniform([0.17, 0.2, 0.24], [0.24, 0.27, 0.34])
+    blend = float(rng.uniform(0.01, 0.03))
+    face = np.array([0.0, -0.92 * skull[1], 0.0])
+    eye_x, eye_z = 0.4 * skull[0], float(rng.uniform(0.05, 0.3)) * skull[2]
+    nose, ear = float(rng.uniform(0.05, 0.11)), float(rng.uniform(0.04, 0.11))
+    eye = float(rng.uniform(0.025, 0.04))
+    chin = float(rng.uniform(0.05, 0.1))
+    socket = np.array([eye_x, -0.93 * skull[1], eye_z])
+    ear_top = np.array([skull[0] + 0.6 * ear, 0.02, eye_z + ear * float(rng.uniform(0.5, 2.5))])
+    rods = [
+        (face + [0, 0.01, eye_z], face + [0, -nose, eye_z - 0.12], 0.018, 0.03),
+        (face + [0, -0.005, -0.19], face + [0, 0.02, -0.21], chin, chin),
+        (face + [-0.05, 0.0, -0.14], face + [0.05, 0.0, -0.14], 0.014, 0.014),
+        (np.array([0.0, 0.05, -skull[2]]), np.array([0.0, 0.1, -0.5]), 0.11, 0.14),
+        (socket + [-0.05, -0.01, eye + 0.015], socket + [0.05, 0.02, eye + 0.015], 0.017, 0.012),
+        (np.array([skull[0] - 0.01, 0.02, eye_z - 0.04]), ear_top, 0.035, 0.018),
+    ]
+    lumps, lump = SmoothNoise(rng, 0.25), float(rng.uniform(0.0, 0.008))
+
+    def field(points: npt.NDArray[np.float32]) -> npt.NDArray[np.floating]:
+        mirrored = np.array(points, np.float64)
+        mirrored[:, 0] = np.abs(mirrored[:, 0])
+        parts = [(np.linalg.norm(points / skull, axis=1) - 1) * skull.min()]
+        parts += [rod(mirrored, *bone) for bone in rods]
+        solid = smooth_union(np.stack(parts), blend)
+        hollow = np.linalg.norm(mirrored - socket, axis=1) - 1.35 * eye
+        solid = -smooth_union(np.stack([-solid, hollow]), 0.5 * blend)
+        ball = np.linalg.norm(mirrored - socket, axis=1) - eye
+        return smooth_union(np.stack([solid, ball]), 0.004) + lump * lumps(points)
+
+    return iso_surface(field, np.array([0.42, 0.42, 0.5]))
 
 
-def _boulder(rng: np.random.Generator) -> tuple[FloatArray, FaceArray]:
+def _boulder(rng: np.random.Generator) -> Mesh:
     """A superellipsoid pushed in and out by noise of a few wavelengths."""
     half = rng.uniform(0.22, 0.45, 3)
     power = float(rng.uniform(2.0, 5.0))
-    waves = [(SmoothNoise(rng, 0.5 * 0.6**i), 0.05 * 0.6**i * float(rng.uniform(0.3, 1.2))) for i in range(3)]
+    waves = [(SmoothNoise(rng, 0.5 * 0.6**i), 0.05 * 0.6**i * float(rng.uniform(0.2, 1.0))) for i in range(3)]
 
-    def field(points: FloatArray) -> npt.NDArray[np.floating]:
-        radius = (np.abs(points / half.astype(np.float32)) ** power).sum(axis=1) ** (1 / power)
-        value = (radius - 1) * half.min()
-        near = np.abs(value) < 0.25
+    def field(points: npt.NDArray[np.float32]) -> npt.NDArray[np.floating]:
+        radius = (np.abs(points / half) ** power).sum(axis=1) ** (1 / power)
+        value = np.array((radius - 1) * half.min())
         for noise, amplitude in waves:
-            value[near] += amplitude * noise(points[near])
-        return np.asarray(value)
+            value += amplitude * noise(points)
+        return value
 
     return iso_surface(field, half + 0.14)
 
 
-def _sponge(rng: np.random.Generator) -> tuple[FloatArray, FaceArray]:
+def _sponge(rng: np.random.Generator) -> Mesh:
     """Filtered noise inside a ball: handles and hollows."""
-    noise, level = SmoothNoise(rng, float(rng.uniform(0.4, 0.6))), float(rng.uniform(0.1, 0.6))
+    noise, level = SmoothNoise(rng, float(rng.uniform(0.5, 0.75))), float(rng.uniform(0.3, 0.8))
 
-    def field(points: FloatArray) -> npt.NDArray[np.floating]:
-        shell = np.linalg.norm(points, axis=1) - 0.45
-        near = shell < 0.1
-        value = np.array(shell, dtype=np.float64)
-        inner = 0.1 * (noise(points[near]) - level)
-        both = np.stack([-shell[near], -inner])
-        value[near] = -smooth_union(both, 0.02)
-        return value
+    def field(points: npt.NDArray[np.float32]) -> npt.NDArray[np.floating]:
+        shell = np.linalg.norm(points, axis=1) - 0.44
+        inner = 0.12 * (noise(points) - level)
+        return -smooth_union(np.stack([-shell, -inner]), 0.03)
 
     return iso_surface(field, np.full(3, 0.5))
 
 
-def tube_mesh(centres: FloatArray, radii: FloatArray) -> tuple[FloatArray, FaceArray]:
+def tube_mesh(centres: FloatArray, radii: FloatArray) -> Mesh:
     """Return a closed tube around a closed curve.
 
     Args:
@@ -276,7 +178,7 @@ def tube_mesh(centres: FloatArray, radii: FloatArray) -> tuple[FloatArray, FaceA
     return vertices.reshape(-1, 3), faces.astype(np.uint32)
 
 
-def _knot(rng: np.random.Generator) -> tuple[FloatArray, FaceArray]:
+def _knot(rng: np.random.Generator) -> Mesh:
     """A torus or torus knot whose cross section swells and twists."""
     p, q = [(1, 0), (2, 3), (3, 2), (2, 5)][int(rng.integers(4))]
     s = np.linspace(0, 2 * np.pi, 700, endpoint=False)
@@ -291,13 +193,13 @@ def _knot(rng: np.random.Generator) -> tuple[FloatArray, FaceArray]:
     return tube_mesh(centres, base * swell * (1 + depth * np.cos(lobes * t[None] + turns * s[:, None])))
 
 
-def _superquadric(rng: np.random.Generator) -> tuple[FloatArray, FaceArray]:
+def _superquadric(rng: np.random.Generator) -> Mesh:
     """A superellipsoid, from pillow to rounded box, bent and twisted."""
     half = rng.uniform(0.18, 0.4, 3)
     e1, e2 = (float(x) for x in rng.uniform(2.0, 7.0, 2))
     twist = float(rng.uniform(-2.5, 2.5)) if rng.random() < 0.5 else 0.0
 
-    def field(points: FloatArray) -> npt.NDArray[np.floating]:
+    def field(points: npt.NDArray[np.float32]) -> npt.NDArray[np.floating]:
         angle = twist * points[:, 2]
         c, s = np.cos(angle), np.sin(angle)
         x = np.abs(c * points[:, 0] - s * points[:, 1]) / half[0]
@@ -310,9 +212,10 @@ def _superquadric(rng: np.random.Generator) -> tuple[FloatArray, FaceArray]:
     return iso_surface(field, np.array([side, side, half[2] + 0.04]))
 
 
-FAMILIES: dict[str, Callable[[np.random.Generator], tuple[FloatArray, FaceArray]]] = {
+FAMILIES: dict[str, Callable[[np.random.Generator], Mesh]] = {
     "ellipsoids": _ellipsoids,
     "figure": _figure,
+    "head": _head,
     "boulder": _boulder,
     "sponge": _sponge,
     "knot": _knot,

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 Points = npt.NDArray[np.float64]
 
-FACET_LENGTH = 0.012
+FACET_LENGTH = 0.007
 """Longest facet of a curved outline, for parts about 1 across; finer than the triangles made later."""
 
 
@@ -20,10 +20,10 @@ def segments(radius: float) -> int:
 
     Example:
         >>> segments(0.5), segments(0.01)
-        (264, 48)
+        (456, 48)
     """
     wanted = 2 * np.pi * radius / FACET_LENGTH
-    return int(np.clip(8 * np.ceil(wanted / 8), 48, 360))
+    return int(np.clip(8 * np.ceil(wanted / 8), 48, 512))
 
 
 def outline(rng: np.random.Generator) -> CrossSection:
@@ -36,13 +36,33 @@ def outline(rng: np.random.Generator) -> CrossSection:
     """
     make = _OUTLINES[int(rng.integers(len(_OUTLINES)))]
     section = make(rng)
-    if rng.random() < 0.25:
-        radius = float(rng.uniform(0.01, 0.05))
-        rounded = section.offset(-radius, JoinType.Miter).offset(
-            radius, JoinType.Round, 2.0, segments(radius)
-        )
-        section = section if rounded.is_empty() else rounded
+    if rng.random() < 0.4:
+        radius = float(rng.uniform(0.01, 0.06))
+        section = rounded(section, radius)
     return section
+
+
+def rounded(section: CrossSection, radius: float) -> CrossSection:
+    """Return an outline with fillets and rounds of a radius in its corners, itself where nothing would be left.
+
+    Example:
+        >>> round(rounded(rectangle(2.0, 2.0), 0.5).area(), 2)
+        3.78
+    """
+    n = segments(radius)
+    filled = section.offset(radius, JoinType.Round, 2.0, n).offset(-2 * radius, JoinType.Round, 2.0, n)
+    result = filled.offset(radius, JoinType.Round, 2.0, n).simplify(1e-5)
+    return section if result.is_empty() else result
+
+
+def ball_segments(radius: float) -> int:
+    """Return how many facets the equator of a ball gets: fewer than a circle, for a ball has their square.
+
+    Example:
+        >>> ball_segments(0.5)
+        256
+    """
+    return int(np.clip(4 * np.ceil(2 * np.pi * radius / (4 * 1.3 * FACET_LENGTH)), 48, 256))
 
 
 def circle(radius: float) -> CrossSection:
@@ -78,16 +98,17 @@ def polygon(rng: np.random.Generator) -> CrossSection:
 
 
 def lathe_profile(rng: np.random.Generator) -> CrossSection:
-    """Return the half section (x >= 0) of a turned part about 1 high: steps, cones, rounds and grooves.
+    """Return the section of a turned part about 1 high, of which x >= 0 counts: steps, cones, rounds and grooves.
 
     Example:
         >>> import numpy as np
-        >>> lathe_profile(np.random.default_rng(0)).bounds()[0] >= 0
+        >>> lathe_profile(np.random.default_rng(0)).bounds()[2] > 0.1
         True
     """
     if rng.random() < 0.4:
         return _vase(rng)
     n_steps = int(rng.integers(3, 8))
+    rounding = float(rng.uniform(0.01, 0.04)) if rng.random() < 0.5 else 0.0
     heights = np.concatenate([[0.0], np.cumsum(rng.uniform(0.4, 1.6, n_steps))])
     heights /= heights[-1]
     radii = rng.uniform(0.12, 0.5, n_steps)
@@ -100,6 +121,10 @@ def lathe_profile(rng: np.random.Generator) -> CrossSection:
     for _ in range(int(rng.integers(0, 4))):
         groove = circle(float(rng.uniform(0.02, 0.08)))
         section -= groove.translate((float(rng.choice(radii)), float(rng.uniform(0.1, 0.9))))
+    if rounding:
+        # A mirrored copy keeps the axis from being rounded off.
+        whole = section + section.mirror((1.0, 0.0))
+        section = rounded(whole, rounding)
     if rng.random() < 0.5:
         bore = float(rng.uniform(0.04, 0.1))
         section -= rectangle(2 * bore, 3.0)
@@ -109,7 +134,7 @@ def lathe_profile(rng: np.random.Generator) -> CrossSection:
 def _vase(rng: np.random.Generator) -> CrossSection:
     knots = int(rng.integers(4, 8))
     spline = CubicSpline(np.linspace(0, 1, knots), rng.uniform(0.12, 0.5, knots))
-    height = np.linspace(0, 1, 120)
+    height = np.linspace(0, 1, 160)
     radius = np.clip(spline(height), 0.08, 0.6)
     outer = np.concatenate([[[0.0, 0.0]], np.stack([radius, height], axis=1), [[0.0, 1.0]]])
     section = CrossSection([outer])
@@ -162,7 +187,7 @@ def _spline(rng: np.random.Generator) -> CrossSection:
     spline = CubicSpline(
         np.linspace(0, 2 * np.pi, knots + 1), np.append(radius, radius[0]), bc_type="periodic"
     )
-    angle = np.linspace(0, 2 * np.pi, 280, endpoint=False)
+    angle = np.linspace(0, 2 * np.pi, 420, endpoint=False)
     r = np.clip(spline(angle), 0.1, 0.7)
     return CrossSection([np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1)])
 

@@ -35,8 +35,8 @@ class Recipe:
     description: str
     stages: tuple[TrainConfig, ...]
     warm_start: bool = True
-    n_shapes: int = 120
-    pool_size: int = 240
+    n_shapes: int = 80
+    pool_size: int = 100
     normal_iterations: int = 1
     seed: int = field(default=0)
 
@@ -77,7 +77,7 @@ def _paper(steps: int, later_steps: int) -> Recipe:
 
 
 RECIPES = {
-    "default": _default(14_000, 7_000),
+    "default": _default(8_500, 4_500),
     "paper": _paper(450_000, 300_000),
 }
 """By name. The paper's own numbers of steps are 24 and 16 epochs of 2.4 M patches in batches of 128."""

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from gcnd import _geom
-from gcnd.data.noise import add_noise
+from gcnd.data.noise import NoiseSource
 from gcnd.predict import PatchArrays, make_extractor
 
 if TYPE_CHECKING:
@@ -67,10 +67,12 @@ class CleanShape:
     normals: NDArray[np.float64] = field(init=False)
     feature_faces: NDArray[np.uint32] = field(init=False)
     flat_faces: NDArray[np.uint32] = field(init=False)
+    noise: NoiseSource = field(init=False)
 
     def __post_init__(self) -> None:
         self.topology = _geom.Topology(self.faces, len(self.vertices))
         self.normals = _geom.face_geometry(self.vertices, self.faces)[0]
+        self.noise = NoiseSource(self.vertices, self.faces)
         is_feature = np.isin(_geom.classify_faces(self.topology, self.vertices), FEATURE_CLASSES)
         self.feature_faces = np.flatnonzero(is_feature).astype(np.uint32)
         self.flat_faces = np.flatnonzero(~is_feature).astype(np.uint32)
@@ -135,13 +137,8 @@ class FreshNoise:
 
 def noisy_vertices(shape: CleanShape, noise: NoiseDraw) -> NDArray[np.float64]:
     """Adds one draw of noise to a shape's vertices."""
-    return add_noise(
-        shape.vertices,
-        shape.faces,
-        kind=noise.kind,
-        level=noise.level,
-        fraction=noise.fraction,
-        seed=noise.seed,
+    return shape.noise.sample(
+        kind=noise.kind, level=noise.level, fraction=noise.fraction, seed=noise.seed  # type: ignore[arg-type]
     )
 
 
@@ -150,7 +147,7 @@ class ChunkConfig:
     """How a chunk of patches is drawn: ``n_meshes`` noisy meshes, ``n_patches`` patches in all, shuffled."""
 
     n_meshes: int = 8
-    n_patches: int = 2048
+    n_patches: int = 4096
     balance_ratio: float | None = 1.5
 
 

@@ -142,6 +142,7 @@ pub fn gather_max_backward<T: Element>(
     shape.check_values("grad_out", grad_out.len())?;
     shape.check_values("grad_in", grad_in.len())?;
     shape.check_argmax(argmax)?;
+    let arch = Arch::new();
     grad_out
         .par_chunks_exact(shape.patch_values())
         .zip(argmax.par_chunks_exact(shape.patch_values()))
@@ -149,21 +150,36 @@ pub fn gather_max_backward<T: Element>(
         .for_each_init(
             || vec![0.0; shape.patch_values()],
             |sums, ((grad_out, argmax), grad_in)| {
-                sums.fill(0.0);
-                scatter_add(grad_out, argmax, shape.n_channels, sums);
-                for (grad, &sum) in grad_in.iter_mut().zip(sums.iter()) {
-                    *grad = T::from_f32(sum);
-                }
+                let n_channels = shape.n_channels;
+                arch.dispatch(ScatterAdd { grad_out, argmax, n_channels, sums, grad_in });
             },
         );
     Ok(())
 }
 
-/// Adds each gradient of a patch to the entry of the node that won.
-fn scatter_add<T: Element>(grad_out: &[T], argmax: &[u16], n_channels: usize, sums: &mut [f32]) {
-    for (grad_row, winner_row) in grad_out.chunks_exact(n_channels).zip(argmax.chunks_exact(n_channels)) {
-        for (channel, (grad, &winner)) in grad_row.iter().zip(winner_row).enumerate() {
-            sums[usize::from(winner) * n_channels + channel] += grad.to_f32();
+/// [`gather_max_backward`] on one patch.
+struct ScatterAdd<'a, T> {
+    grad_out: &'a [T],
+    argmax: &'a [u16],
+    n_channels: usize,
+    sums: &'a mut [f32],
+    grad_in: &'a mut [T],
+}
+
+impl<T: Element> WithSimd for ScatterAdd<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) {
+        let Self { grad_out, argmax, n_channels, sums, grad_in } = self;
+        sums.fill(0.0);
+        for (grad_row, winner_row) in grad_out.chunks_exact(n_channels).zip(argmax.chunks_exact(n_channels)) {
+            for (channel, (grad, &winner)) in grad_row.iter().zip(winner_row).enumerate() {
+                sums[usize::from(winner) * n_channels + channel] += grad.to_f32();
+            }
+        }
+        for (grad, &sum) in grad_in.iter_mut().zip(sums.iter()) {
+            *grad = T::from_f32(sum);
         }
     }
 }

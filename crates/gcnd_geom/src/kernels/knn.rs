@@ -28,8 +28,8 @@ const MAX_NODES: usize = 1 << 15;
 ///
 /// Distances are taken in `f32` from the products of features relative to the patch's first node, so that a
 /// common offset costs no accuracy; two distances may change places where they differ by less than the rounding of
-/// |f_i − f_0|². A distance that is NaN or overflows is never chosen, and a place left empty by that repeats the
-/// node itself.
+/// |f_i − f_0|². A node whose norm is NaN or overflows is nobody else's neighbour, and a place that finds no
+/// neighbour repeats the node itself.
 ///
 /// # Errors
 ///
@@ -91,5 +91,40 @@ fn knn_of_patch<T: Element>(
     for (panel, out) in out.chunks_mut(panels.width() * k).enumerate() {
         keys.fill(arch, panels, panel);
         dispatch(arch, Select { keys, first_node: panel * panels.width(), k, out });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every instruction set that this processor can run.
+    fn archs() -> Vec<Arch> {
+        #[cfg(target_arch = "x86_64")]
+        let avx2 = pulp::x86::V3::try_new().map(Arch::V3);
+        #[cfg(not(target_arch = "x86_64"))]
+        let avx2 = None;
+        [Some(Arch::Scalar), avx2, Some(Arch::new())].into_iter().flatten().collect()
+    }
+
+    /// Small integers, for which every distance is exact: all instruction sets must then agree to the bit.
+    #[test]
+    fn every_vector_width_finds_the_same_neighbours() {
+        for (n_nodes, n_channels, k) in
+            [(1, 1, 1), (5, 3, 5), (37, 2, 4), (64, 9, 8), (65, 8, 17), (70, 5, 32), (50, 4, 41)]
+        {
+            let features: Vec<f32> =
+                (0..n_nodes * n_channels).map(|i| ((i * i * 31 + i * 7) % 11) as f32 - 5.0).collect();
+            let run = |arch: Arch| {
+                let (mut panels, mut out) = (Panels::new(arch, n_nodes, n_channels), vec![-1; n_nodes * k]);
+                let mut keys = RankKeys::new(&panels);
+                knn_of_patch(arch, &features, k, &mut panels, &mut keys, &mut out);
+                out
+            };
+            let expected = run(Arch::Scalar);
+            for arch in archs() {
+                assert_eq!(run(arch), expected, "{arch:?}: {n_nodes} nodes, {n_channels} channels, k {k}");
+            }
+        }
     }
 }

@@ -204,7 +204,10 @@ mod tests {
         let mut accumulator = NormalAccumulator::new(2);
         let error = |what, expected, got| Err(GeomError::LengthMismatch { what, expected, got });
         let f = IDENTITY;
-        assert_eq!(accumulator.add(&[0], &[1], &[0.; 3], &[0.; 3], 3, &f[..8]), error("world_from_patch", 0, 8));
+        assert_eq!(
+            accumulator.add(&[0], &[1], &[0.; 3], &[0.; 3], 3, &f[..8]),
+            error("world_from_patch", 0, 8)
+        );
         let two = [f, f].concat();
         assert_eq!(accumulator.add(&[0; 3], &[1; 3], &[0.; 9], &[0.; 9], 3, &two), error("face_ids", 2, 3));
         assert_eq!(accumulator.add(&[0], &[1; 2], &[0.; 3], &[0.; 3], 3, &f), error("mask", 1, 2));

@@ -3,7 +3,6 @@
 use super::id_slots::{IdSlots, NO_SLOT};
 use super::select::Candidate;
 use super::voting::LocalFace;
-use crate::mesh::Face;
 use crate::topology::Topology;
 use glam::{DMat3, DVec3};
 
@@ -26,8 +25,10 @@ pub(crate) struct PatchView<'a> {
     /// Indices into `candidates`, one per node; the first `n_real` are distinct.
     pub(crate) picks: &'a [u32],
     pub(crate) n_real: usize,
-    /// Eq. 1's r, `None` for a patch without one.
-    pub(crate) radius: Option<f64>,
+    /// c_i in mesh units.
+    pub(crate) center: DVec3,
+    /// 1/r, zero for a patch without a radius.
+    pub(crate) length_scale: f64,
     pub(crate) world_from_patch: DMat3,
 }
 
@@ -55,6 +56,10 @@ pub(crate) fn write_graph(view: &PatchView<'_>, node_of_face: &mut IdSlots, row:
             .filter(|&slot| slot != NO_SLOT);
         neighbors.iter_mut().zip(present).for_each(|(neighbor, slot)| *neighbor = slot as i32);
     }
+    // A sliver's feature beyond the range of f32 becomes the largest finite number.
+    for feature in &mut row.features[..view.n_real * n_channels] {
+        *feature = feature.clamp(f32::MIN, f32::MAX);
+    }
     for node in view.n_real..n_nodes {
         let repeated = view.picks[node] as usize;
         row.features.copy_within(repeated * n_channels..(repeated + 1) * n_channels, node * n_channels);
@@ -68,43 +73,41 @@ pub(crate) fn write_graph(view: &PatchView<'_>, node_of_face: &mut IdSlots, row:
 /// Channels: centroid (3), normal (3), area (1), degree (1), and three vertex offsets (9) where there is room.
 #[inline]
 fn write_features(view: &PatchView<'_>, face_id: u32, local: &LocalFace, features: &mut [f32]) {
-    let to_patch = |v: DVec3| {
-        let axes = &view.world_from_patch;
-        [v.dot(axes.x_axis), v.dot(axes.y_axis), v.dot(axes.z_axis)].map(to_f32)
-    };
-    features[0..3].copy_from_slice(&to_patch(local.offset));
-    features[3..6].copy_from_slice(&to_patch(local.normal));
-    features[6] = to_f32(local.area);
-    features[7] = view.topology.edge_neighbors(face_id as usize).len() as f32 / 3.0;
-    if features.len() == 17 {
-        let offsets = vertex_offsets(view, face_id);
-        for (corner, offset) in offsets.into_iter().enumerate() {
-            features[8 + 3 * corner..11 + 3 * corner].copy_from_slice(&to_patch(offset));
-        }
+    let axes = &view.world_from_patch;
+    write_rotated(axes, local.offset, &mut features[0..3]);
+    write_rotated(axes, local.normal, &mut features[3..6]);
+    features[6] = local.area as f32;
+    features[7] = view.topology.edge_neighbors(face_id as usize).len() as f32 * (1.0 / 3.0);
+    if let Some(offsets) = features.get_mut(8..17) {
+        let [u, v, w] = vertex_offsets(view, face_id);
+        write_rotated(axes, u, &mut offsets[0..3]);
+        write_rotated(axes, v, &mut offsets[3..6]);
+        write_rotated(axes, w, &mut offsets[6..9]);
     }
+}
+
+/// Writes a vector's coordinates along the axes of the patch.
+#[inline(always)]
+fn write_rotated(world_from_patch: &DMat3, v: DVec3, out: &mut [f32]) {
+    out[0] = v.dot(world_from_patch.x_axis) as f32;
+    out[1] = v.dot(world_from_patch.y_axis) as f32;
+    out[2] = v.dot(world_from_patch.z_axis) as f32;
 }
 
 /// (v − c_j) / r of the three vertices in the face's own order, started at the vertex nearest to the patch
 /// centre, so that it does not matter which vertex the file names first.
 #[inline]
 fn vertex_offsets(view: &PatchView<'_>, face_id: u32) -> [DVec3; 3] {
-    let Some(radius) = view.radius else { return [DVec3::ZERO; 3] };
-    let face: Face = view.topology.faces()[face_id as usize];
-    let corners = face.map(|vertex_id| view.vertices[vertex_id as usize]);
-    let center = view.centroids[view.candidates[0].face_id as usize];
-    let squared = corners.map(|corner| corner.distance_squared(center));
-    let mut first = 0;
-    for corner in 1..3 {
-        if squared[corner] < squared[first] {
-            first = corner;
-        }
-    }
-    let (centroid, scale) = (view.centroids[face_id as usize], radius.recip());
-    [0, 1, 2].map(|step| (corners[(first + step) % 3] - centroid) * scale)
-}
-
-/// Rounds to `f32`; a sliver's feature beyond its range becomes the largest finite number.
-#[inline]
-fn to_f32(x: f64) -> f32 {
-    (x as f32).clamp(f32::MIN, f32::MAX)
+    let [u, v, w] =
+        view.topology.faces()[face_id as usize].map(|vertex_id| view.vertices[vertex_id as usize]);
+    let centroid = view.centroids[face_id as usize];
+    let [to_u, to_v, to_w] = [u, v, w].map(|corner| corner.distance_squared(view.center));
+    let corners = if to_u <= to_v && to_u <= to_w {
+        [u, v, w]
+    } else if to_v <= to_w {
+        [v, w, u]
+    } else {
+        [w, u, v]
+    };
+    corners.map(|corner| (corner - centroid) * view.length_scale)
 }

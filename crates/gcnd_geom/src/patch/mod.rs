@@ -194,12 +194,7 @@ impl<'a> PatchExtractor<'a> {
     }
 
     /// One patch: select, align, fix to the budget, write.
-    fn extract_one(
-        &self,
-        face_id: u32,
-        row: PatchRow<'_>,
-        scratch: &mut PatchScratch,
-    ) -> (DMat3, f64) {
+    fn extract_one(&self, face_id: u32, row: PatchRow<'_>, scratch: &mut PatchScratch) -> (DMat3, f64) {
         let scale = self.select_into(face_id, scratch);
         let (tensor, _) = self.voting_tensor(&scale, scratch);
         let world_from_patch = voting::patch_frame(&tensor, scale.area_normal, &scratch.locals);
@@ -219,7 +214,8 @@ impl<'a> PatchExtractor<'a> {
             locals,
             picks,
             n_real,
-            radius: scale.radius,
+            center: self.geometry.centroids[face_id as usize],
+            length_scale: scale.length_scale(),
             world_from_patch,
         };
         write_graph(&view, &mut select.seen_faces, row);
@@ -254,8 +250,7 @@ impl<'a> PatchExtractor<'a> {
     /// Maps mesh faces to the units of the patch around `center_id`.
     fn to_local(&self, center_id: u32, scale: &PatchScale) -> impl Fn(u32) -> LocalFace + Clone + '_ {
         let center = self.geometry.centroids[center_id as usize];
-        // Without a radius the offsets are dropped rather than left in units of the mesh.
-        let length_scale = scale.radius.map_or(0.0, f64::recip);
+        let length_scale = scale.length_scale();
         let area_scale = if scale.radius.is_some() { scale.mean_area.recip() } else { 0.0 };
         move |face_id| {
             let face_id = face_id as usize;

@@ -98,6 +98,13 @@ pub(crate) struct PatchScale {
     pub(crate) area_normal: DVec3,
 }
 
+impl PatchScale {
+    /// 1/r. Without a radius it is zero: offsets are dropped rather than left in units of the mesh.
+    pub(crate) fn length_scale(&self) -> f64 {
+        self.radius.map_or(0.0, f64::recip)
+    }
+}
+
 /// Computes r = patch_scale · sqrt(mean area of the centre and its 2-ring); leaves those faces in
 /// `scratch.two_ring`.
 pub(crate) fn patch_scale_of(

@@ -7,7 +7,7 @@ use super::dynamic::DynamicMesh;
 use super::features;
 use super::flip::{Aim, flip_edges};
 use super::relax::{Reference, relax_vertices};
-use super::split::split_long_edges;
+use super::split::{split_flat_parts_evenly, split_long_edges};
 use super::surface::Surface;
 use crate::error::{GeomError, Result, check_len};
 use crate::mesh::{Face, validate};
@@ -95,7 +95,7 @@ pub fn remesh_with_sizes(
     let mut mesh = DynamicMesh::new(vertices.to_vec(), sizes.to_vec(), faces);
     features::mark(&mut mesh, params.feature_angle_deg);
     // Splitting stays on the input, and small pieces make nearest-point queries fast.
-    split_long_edges(&mut mesh);
+    split_flat_parts_evenly(&mut mesh);
     let reference = Reference {
         surface: Surface::from_triangles(
             mesh.faces.iter().zip(&mesh.regions).map(|(face, &id)| (face.map(|v| mesh.position(v)), id)),

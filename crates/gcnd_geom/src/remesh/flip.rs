@@ -9,6 +9,9 @@ const MIN_TURN_COS: f64 = std::f64::consts::FRAC_1_SQRT_2;
 /// A flip may make the fold over its edge sharper by at most this much in the cosine.
 const MAX_FOLD_GAIN: f64 = 0.02;
 
+/// Faces count as lying in one plane up to rounding.
+const MIN_FLAT_COS: f64 = 1.0 - 1e-12;
+
 /// What a flip is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Aim {
@@ -16,21 +19,22 @@ pub(super) enum Aim {
     Valence,
     /// The better of the two worse triangles.
     Shape,
+    /// As `Shape`, only where the two faces lie in one plane, so that the surface stays the same.
+    FlatShape,
 }
 
 /// Flips every edge, in id order, whose flip serves the aim and loses no geometry.
 pub(super) fn flip_edges(mesh: &mut DynamicMesh, aim: Aim) {
     for (a, b) in mesh.edges() {
-        if mesh.link(a, b).is_none() {
-            try_flip(mesh, a, b, aim);
-        }
+        try_flip(mesh, a, b, aim);
     }
 }
 
-fn try_flip(mesh: &mut DynamicMesh, a: u32, b: u32, aim: Aim) {
+/// Flips one edge if its flip serves the aim and loses no geometry; says whether it did.
+pub(super) fn try_flip(mesh: &mut DynamicMesh, a: u32, b: u32, aim: Aim) -> bool {
     let (mut faces, count) = mesh.edge_faces(a, b);
-    if count != 2 {
-        return;
+    if count != 2 || mesh.link(a, b).is_some() {
+        return false;
     }
     let first = mesh.faces[faces[0] as usize];
     if !(0..3).any(|i| first[i] == a && first[(i + 1) % 3] == b) {
@@ -39,28 +43,34 @@ fn try_flip(mesh: &mut DynamicMesh, a: u32, b: u32, aim: Aim) {
     let [c, d] = faces.map(|face_id| mesh.opposite(face_id, a, b));
     let leaves_two_faces = [a, b].iter().any(|&v| mesh.vertex_faces[v as usize].len() <= 3);
     if c == d || leaves_two_faces || mesh.is_edge(c, d) {
-        return;
+        return false;
     }
     let [pa, pb, pc, pd] = [a, b, c, d].map(|v| mesh.position(v));
     let old_worst = quality(pa, pb, pc).min(quality(pb, pa, pd));
     let new_worst = quality(pa, pd, pc).min(quality(pd, pb, pc));
     let wanted = match aim {
-        Aim::Shape => new_worst > old_worst + 1e-3,
+        Aim::Shape | Aim::FlatShape => new_worst > old_worst + 1e-3,
         // Valence counts for little where a triangle is already bad.
         Aim::Valence if old_worst < 0.3 => new_worst > old_worst,
         Aim::Valence => new_worst > 0.3 && valence_gain(mesh, [a, b], [c, d]) > 0,
     };
     if !wanted {
-        return;
+        return false;
     }
     let old = faces.map(|face_id| mesh.cross(face_id));
     let new = [(pd - pa).cross(pc - pa), (pb - pd).cross(pc - pd)];
     let sum = (old[0] + old[1]).normalize_or_zero();
     let keeps_side = new.iter().all(|n| n.dot(sum) > MIN_TURN_COS * n.length());
     let fold = |pair: [glam::DVec3; 2]| pair[0].normalize_or_zero().dot(pair[1].normalize_or_zero());
-    if keeps_side && (old_worst < 1e-4 || fold(new) >= fold(old) - MAX_FOLD_GAIN) {
+    let keeps_fold = match aim {
+        Aim::FlatShape => old_worst > 1e-6 && fold(old).min(fold(new)) > MIN_FLAT_COS,
+        _ => old_worst < 1e-4 || fold(new) >= fold(old) - MAX_FOLD_GAIN,
+    };
+    if keeps_side && keeps_fold {
         mesh.flip_edge([a, b], [c, d], faces);
+        return true;
     }
+    false
 }
 
 /// By how much the flip brings the four vertices nearer to their ideal valence.

@@ -69,13 +69,10 @@ fn transpose<T: Element>(rows: &[T], n_channels: usize, lane: usize, width: usiz
         let (first, rest) = rows.split_at(n_channels);
         let (second, rest) = rest.split_at(n_channels);
         let (third, fourth) = rest.split_at(n_channels);
-        let rows = first.as_chunks::<4>().0.iter().zip(second.as_chunks::<4>().0).zip(third.as_chunks::<4>().0.iter().zip(fourth.as_chunks::<4>().0));
-        for (((a, b), (c, d)), panel) in rows.zip(panel.chunks_exact_mut(4 * width)) {
-            let (a,b,c,d) = (*a,*b,*c,*d);
-            for k in 0..4 {
-            let lanes = &mut panel[lane + k*width..lane + k*width+ ROWS];
-            lanes.copy_from_slice(&[a[k].to_f32(), b[k].to_f32(), c[k].to_f32(), d[k].to_f32()]);
-            }
+        let rows = first.iter().zip(second).zip(third.iter().zip(fourth));
+        for (((a, b), (c, d)), panel) in rows.zip(panel.chunks_exact_mut(width)) {
+            let lanes = &mut panel[lane..lane + ROWS];
+            lanes.copy_from_slice(&[a.to_f32(), b.to_f32(), c.to_f32(), d.to_f32()]);
         }
     } else {
         for (row, values) in rows.chunks_exact(n_channels).enumerate() {
@@ -105,7 +102,9 @@ impl<T: Element> WithSimd for Center<'_, T> {
             let mut sums = [simd.splat_f32s(0.0); VECTORS];
             let channels = S::as_mut_simd_f32s(panel).0.chunks_exact_mut(VECTORS);
             for (channel, origin) in channels.zip(self.origin) {
-                let origin = simd.splat_f32s(origin.to_f32());
+                let origin = origin.to_f32();
+                // One broken node must not spoil the others.
+                let origin = simd.splat_f32s(if origin.is_finite() { origin } else { 0.0 });
                 for vector in 0..VECTORS {
                     let value = simd.sub_f32s(channel[vector], origin);
                     channel[vector] = value;
@@ -198,7 +197,7 @@ fn keys_of_rows<S: Simd>(
         let norm = simd.splat_f32s(norms[row]);
         for vector in 0..VECTORS {
             let key = mul_add(simd, simd.splat_f32s(-2.0), sums[row][vector], norm);
-            let finite = simd.less_than_f32s(key, infinity);
+            let finite = simd.less_than_f32s(simd.abs_f32s(key), infinity);
             keys[row * VECTORS + vector] = simd.select_f32s(finite, key, infinity);
         }
     }

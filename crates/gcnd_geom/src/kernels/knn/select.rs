@@ -49,6 +49,11 @@ fn select<S: Simd, const M: usize>(simd: S, panel: Select) {
         let mut best = [simd.splat_f32s(f32::INFINITY); M];
         let mut ids = [own_ids(simd, first_node); M];
         for (node_id, keys) in keys.chunks_exact(VECTORS).enumerate() {
+            let nearer = simd.less_than_f32s(keys[vector], best[M - 1]);
+            // Late in a large patch, most nodes are too far away for every lane.
+            if simd.first_true_m32s(nearer) == S::F32_LANES {
+                continue;
+            }
             insert(simd, keys[vector], simd.splat_u32s(node_id as u32), &mut best, &mut ids);
         }
         for (lane, out) in out.chunks_exact_mut(panel.k).enumerate() {
@@ -103,9 +108,16 @@ fn sort(panel: Select, width: usize) {
         let own = (panel.first_node + lane) as i32;
         let keys = panel.keys.values().iter().skip(lane).step_by(width).take(panel.keys.n_nodes);
         order.clear();
-        order.extend(keys.zip(0i32..).filter(|(key, _)| key.is_finite()).map(|(&key, id)| (key + 0.0, id)));
+        order.extend(
+            keys.zip(0i32..).filter(|(key, _)| **key < f32::INFINITY).map(|(&key, id)| (key + 0.0, id)),
+        );
         // Adding 0 has made −0 and +0 the same, so the total order breaks ties by id alone.
-        order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let nearer = |a: &(f32, i32), b: &(f32, i32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+        if order.len() >= panel.k {
+            order.select_nth_unstable_by(panel.k - 1, nearer);
+            order.truncate(panel.k - 1);
+        }
+        order.sort_unstable_by(nearer);
         out.fill(own);
         for (out, &(_, id)) in out[1..].iter_mut().zip(&order) {
             *out = id;

@@ -1,0 +1,81 @@
+"""`gcnd train`: weights made again from nothing, or from your own meshes."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gcnd.cli.denoise import Device
+
+if TYPE_CHECKING:
+    from gcnd.train.loop import StepReport
+
+__all__ = ["run"]
+
+_SECONDS_BETWEEN_LINES = 10.0
+
+
+def run(
+    preset: Annotated[str, typer.Option(help="Recipe: default or paper.")] = "default",
+    out: Annotated[Path | None, typer.Option(help="Folder of the run; resumed when it exists.")] = None,
+    meshes: Annotated[
+        Path | None, typer.Option(help="Folder of clean meshes to train on beside the procedural shapes.")
+    ] = None,
+    shapes: Annotated[
+        Path | None, typer.Option(help="Folder that keeps procedural shapes between runs.")
+    ] = None,
+    scale: Annotated[float, typer.Option(min=0.0, help="Factor on the recipe's optimiser steps.")] = 1.0,
+    precision: Annotated[
+        str | None,
+        typer.Option(help="float32 or bfloat16; by default bfloat16 where the processor computes in it."),
+    ] = None,
+    device: Annotated[Device, typer.Option(help="Where to train.")] = Device.CPU,
+    threads: Annotated[int | None, typer.Option(help="Threads of torch; by default all cores.")] = None,
+) -> None:
+    """Train a recipe's weights; killed at any time, the same command goes on."""
+    import torch
+
+    from gcnd.errors import ConfigError
+    from gcnd.train.recipes import get_recipe
+    from gcnd.train.run import TrainingRun, adapted
+    from gcnd.weights.registry import checked_device
+
+    if threads is not None:
+        torch.set_num_threads(threads)
+    if meshes is not None and not meshes.is_dir():
+        raise ConfigError(f"{meshes} is not a folder of meshes")
+    recipe = adapted(get_recipe(preset), scale=scale, precision=precision)
+    folder = out or Path("runs") / recipe.name
+    training = TrainingRun(
+        folder,
+        recipe,
+        shape_folder=shapes,
+        mesh_folder=meshes,
+        device=str(checked_device(device.value)),
+        on_step=_LineWriter(),
+        on_event=lambda text: print(text, file=sys.stderr, flush=True),
+    )
+    print(training.run())
+
+
+class _LineWriter:
+    """Prints a line with step, speed, loss and time left every few seconds."""
+
+    def __init__(self) -> None:
+        self.last = 0.0
+
+    def __call__(self, stage: int, report: StepReport) -> None:
+        now = time.monotonic()
+        if now - self.last < _SECONDS_BETWEEN_LINES and report.step < report.steps:
+            return
+        self.last = now
+        print(
+            f"stage {stage + 1}  step {report.step}/{report.steps}  {report.patches_per_second:.0f} patches/s  "
+            f"loss {report.loss:.4f}  {report.seconds_left / 60:.1f} min left",
+            file=sys.stderr,
+            flush=True,
+        )
