@@ -156,7 +156,8 @@ def test_ply_keeps_64_bits_where_the_input_had_them(tmp_path: Path, is_double: b
 def test_big_endian_ply_whose_data_begins_like_a_line_ending() -> None:
     header = (
         b"ply\r\nformat binary_big_endian 1.0\r\nelement vertex 3\r\n"
-        b"property double x\r\nproperty double y\r\nproperty double z\r\nelement face 1\r\nproperty list uint8 int32 vertex_index\r\nend_header\r\n"
+        b"property double x\r\nproperty double y\r\nproperty double z\r\n"
+        b"element face 1\r\nproperty list uint8 int32 vertex_index\r\nend_header\r\n"
     )
     first = struct.unpack(">d", b"\n\x0d" + bytes(6))[0]
     corners = np.array([[first, 2, 3], [4, 5, 6], [7, 8, 9.5]], dtype=">f8")

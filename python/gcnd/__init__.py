@@ -4,11 +4,17 @@
 >>> clean = gcnd.denoise("scan.ply")  # doctest: +SKIP
 """
 
-from importlib.metadata import version as _version
+from __future__ import annotations
 
-from gcnd.denoise import denoise
+from importlib import import_module
+from importlib.metadata import version as _version
+from typing import TYPE_CHECKING, Any
+
 from gcnd.errors import ConfigError, GcndError, MeshError, WeightsError
-from gcnd.metrics import normal_error, vertex_error
+
+if TYPE_CHECKING:
+    from gcnd.denoise import denoise
+    from gcnd.metrics import normal_error, vertex_error
 
 __version__ = _version("gcnd")
 
@@ -22,3 +28,14 @@ __all__ = [
     "normal_error",
     "vertex_error",
 ]
+
+_HOMES = {"denoise": "gcnd.denoise", "normal_error": "gcnd.metrics", "vertex_error": "gcnd.metrics"}
+
+
+def __getattr__(name: str) -> Any:
+    # torch takes seconds to import; `gcnd --help` and `gcnd info` do without it.
+    if name not in _HOMES:
+        raise AttributeError(f"module 'gcnd' has no attribute {name!r}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value

@@ -48,7 +48,7 @@ def make_shape(seed: int, kind: ShapeKind | None = None) -> Shape:
     """Return the procedural shape of a seed: 9 to 42 thousand faces, closed, oriented outward.
 
     ``cad``: primitives and profiles joined and cut, sharp edges kept by the remeshing. ``smooth``: implicit and
-    parametric bodies. ``feature``: smooth bodies with relief of wavelengths from 4 to 20 edge lengths. Triangles are
+    parametric bodies. ``feature``: smooth bodies with relief of wavelengths from 5 to 16 edge lengths. Triangles are
     isotropic, graded, or irregular.
 
     Args:

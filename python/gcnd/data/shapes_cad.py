@@ -118,7 +118,7 @@ def _extrusion(rng: np.random.Generator) -> Manifold:
     height = float(rng.uniform(0.15, 0.9))
     twist = float(rng.uniform(-90, 90)) if rng.random() < 0.25 else 0.0
     scale = float(rng.uniform(0.4, 1.0)) if rng.random() < 0.25 else 1.0
-    steps = 60 if twist else 0
+    steps = 120 if twist else 0
     return outline(rng).extrude(height, steps, twist, (scale, scale))
 
 

@@ -73,7 +73,8 @@ def smooth_union(fields: npt.NDArray[np.floating], blend: float) -> npt.NDArray[
 def rod(
     points: npt.NDArray[np.floating], a: FloatArray, b: FloatArray, ra: float, rb: float
 ) -> npt.NDArray[np.floating]:
-    """Return the distance of (N, 3) points to the segment a-b less a radius that runs from `ra` to `rb`.
+    """Return the distance of (N, 3) points to the segment a-b less a radius that runs from `ra` to `rb`,
+    or as far towards `rb` as half the segment's length allows.
 
     Example:
         >>> import numpy as np
@@ -81,6 +82,8 @@ def rod(
         1.5
     """
     along = b - a
+    # A cone steeper than this has no smooth side.
+    rb = float(np.clip(rb, ra - 0.5 * np.linalg.norm(along), ra + 0.5 * np.linalg.norm(along)))
     share = np.clip((points - a) @ along / max(float(along @ along), 1e-12), 0, 1)
     gap = np.linalg.norm(points - (a + share[:, None] * along), axis=1)
     return np.asarray(gap - (ra + (rb - ra) * share))

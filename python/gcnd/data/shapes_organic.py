@@ -29,7 +29,7 @@ def smooth_body(rng: np.random.Generator) -> tuple[str, FloatArray, FaceArray]:
         (3, 'uint32')
     """
     names = list(FAMILIES)
-    name = names[int(rng.integers(len(names)))]
+    name = names[int(rng.choice(len(names), p=_SHARES))]
     vertices, faces = FAMILIES[name](rng)
     return name, vertices, faces
 
@@ -195,8 +195,8 @@ def _knot(rng: np.random.Generator) -> Mesh:
 
 def _superquadric(rng: np.random.Generator) -> Mesh:
     """A superellipsoid, from pillow to rounded box, bent and twisted."""
-    half = rng.uniform(0.18, 0.4, 3)
-    e1, e2 = (float(x) for x in rng.uniform(2.0, 7.0, 2))
+    half = rng.uniform(0.12, 0.42, 3)
+    e1, e2 = (float(x) for x in rng.uniform(2.0, 8.0, 2))
     twist = float(rng.uniform(-2.5, 2.5)) if rng.random() < 0.5 else 0.0
 
     def field(points: npt.NDArray[np.float32]) -> npt.NDArray[np.floating]:
@@ -222,3 +222,5 @@ FAMILIES: dict[str, Callable[[np.random.Generator], Mesh]] = {
     "superquadric": _superquadric,
 }
 """The families of smooth bodies by name."""
+
+_SHARES = np.array([0.17, 0.2, 0.2, 0.16, 0.09, 0.1, 0.08])

@@ -15,6 +15,9 @@ from gcnd.data.shapes_mesh import FACE_RANGE, edge_length_for, face_crosses, tri
 _MAX_GRADING = 2.5
 """Sizes lie within this factor of the mean size."""
 
+_JITTER_ANGLE = 3.0
+"""Vertices whose faces differ from their normal by more degrees are not jittered: they would leave the surface."""
+
 
 @dataclass(frozen=True)
 class TriangleStyle:
@@ -154,7 +157,7 @@ def jittered(rng: np.random.Generator, vertices: FloatArray, faces: FaceArray, a
         amount: Standard deviation in mean edge lengths.
 
     Returns:
-        (V, 3) float64; vertices whose faces' normals differ from theirs by more than 8 degrees stay, as do those
+        (V, 3) float64; vertices whose faces' normals differ from theirs by more than 3 degrees stay, as do those
         that would spoil a triangle.
 
     Example:
@@ -166,7 +169,7 @@ def jittered(rng: np.random.Generator, vertices: FloatArray, faces: FaceArray, a
     normals = vertex_normals(vertices, faces)
     step = rng.standard_normal(vertices.shape) * amount * mean_edge_length(vertices, faces)
     step -= normals * np.einsum("ij,ij->i", step, normals)[:, None]
-    step[~_flat_vertices(vertices, faces, normals, float(np.cos(np.radians(8.0))))] = 0.0
+    step[~_flat_vertices(vertices, faces, normals, float(np.cos(np.radians(_JITTER_ANGLE))))] = 0.0
     old_crosses = face_crosses(vertices, faces)
     for shrink in (0.3, 0.3, 0.3, 0.0):
         moved = vertices + step

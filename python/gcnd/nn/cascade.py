@@ -136,3 +136,11 @@ class Cascade(nn.Module):
             for stage, network in zip(self.config.stages, self.stages, strict=True)
             for _ in range(stage.passes)
         ]
+
+    def for_inference(self) -> Cascade:
+        """Returns a copy whose networks have their BatchNorm folded in; see ``gcnd.nn.fold``."""
+        from gcnd.nn.fold import folded
+
+        twin = Cascade(self.config)
+        twin.stages = nn.ModuleList(folded(network) for network in self.stages)  # type: ignore[type-var]
+        return twin.eval()

@@ -116,6 +116,28 @@ def gather_sum(values: Tensor, neighbors: Tensor) -> Tensor:
 
 
 @torch.no_grad()
+def edge_max_leaky(a: Tensor, b: Tensor, neighbors: Tensor, slope: float) -> Tensor:
+    """Evaluates an EdgeConv stage from its node parts: out_i = LeakyReLU(a_i + max_{j ∈ N(i)} b_j).
+
+    Args:
+        a: (P, N, C), the centre's part.
+        b: (P, N, C), the neighbour's part.
+        neighbors: (P, N, K), int32.
+        slope: Negative slope of LeakyReLU.
+
+    Returns:
+        (P, N, C); no gradient.
+    """
+    if not (_use_native(a) and a.dtype == torch.float32):
+        return torch.nn.functional.leaky_relu(a + gather_max(b, neighbors), slope)
+    out = torch.empty_like(a)
+    _geom.edge_max_leaky(
+        _array(a.contiguous()), _array(b.contiguous()), neighbors.contiguous().numpy(), slope, _array(out)
+    )
+    return out
+
+
+@torch.no_grad()
 def knn(features: Tensor, k: int) -> Tensor:
     """Finds the k nearest nodes of each node inside its patch by Euclidean distance of features.
 

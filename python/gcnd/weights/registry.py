@@ -70,7 +70,7 @@ def list_models() -> list[ModelInfo]:
 
 
 def load_cascade(preset: str, device: torch.device | str = "cpu") -> Cascade:
-    """Loads a cascade in evaluation mode.
+    """Loads a cascade in its inference form: evaluation mode, BatchNorm folded in.
 
     Args:
         preset: A shipped name, or the path of a file with the ending ``.safetensors``.
@@ -92,7 +92,7 @@ def load_cascade(preset: str, device: torch.device | str = "cpu") -> Cascade:
     cascade = Cascade(_cascade_config(path, header))
     _check_layout(path, cascade, tensors)
     cascade.load_state_dict(tensors)
-    return cascade.to(checked_device(device)).eval()
+    return cascade.for_inference().to(checked_device(device))
 
 
 def save_cascade(path: Path, cascade: Cascade, header: dict[str, Any] | None = None) -> None:

@@ -1,0 +1,53 @@
+# Every target does its own set-up; what is already there is not installed again.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+RUST_SOURCES := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml Cargo.lock
+MODULE := python/gcnd/_geom.abi3.so
+
+.PHONY: demo test test-rust test-python lint bench train wheel clean
+.DEFAULT_GOAL := demo
+
+# The virtual environment with everything that pyproject.toml names, once.
+$(VENV)/.installed: pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade pip
+	$(BIN)/python scripts/install_requirements.py dev
+	touch $@
+
+# The compiled module and the package itself, in place.
+$(MODULE): $(VENV)/.installed $(RUST_SOURCES)
+	VIRTUAL_ENV=$(abspath $(VENV)) $(BIN)/maturin develop --release
+	touch $@
+
+demo: $(MODULE)
+	$(BIN)/python scripts/demo.py
+
+test: test-rust test-python
+
+test-rust:
+	cargo test --workspace --quiet
+
+test-python: $(MODULE)
+	$(BIN)/python -m pytest
+
+lint: $(MODULE)
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets --quiet -- -D warnings
+	$(BIN)/ruff format --check python tests benches scripts
+	$(BIN)/ruff check python tests benches scripts
+	$(BIN)/mypy
+
+bench: $(MODULE)
+	cargo bench --workspace
+	$(BIN)/python benches/end_to_end.py
+	$(BIN)/python benches/networks.py
+
+train: $(MODULE)
+	$(BIN)/gcnd train --preset default
+
+wheel: $(VENV)/.installed
+	$(BIN)/maturin build --release --out dist
+
+clean:
+	rm -rf target $(VENV) $(MODULE) dist demo
