@@ -34,6 +34,7 @@ class StageClock:
         self._label, self._since = "loading weights", time.perf_counter()
 
     def __call__(self, _fraction: float, label: str) -> None:
+        """Takes a progress report."""
         now = time.perf_counter()
         self.seconds[self._label] = self.seconds.get(self._label, 0.0) + now - self._since
         self._label, self._since = label, now

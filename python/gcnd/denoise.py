@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from gcnd.nn.cascade import Cascade
 
-Progress = "Callable[[float, str], object]"
-
 
 def denoise(
     mesh: Any,
@@ -143,4 +141,5 @@ def denoise_arrays(
         vertices = _geom.update_vertices(topology, vertices, normals, vertex_iterations)
     if progress is not None:
         progress(1.0, "done")
-    return vertices + origin
+    moved: NDArray[np.float64] = vertices + origin
+    return moved

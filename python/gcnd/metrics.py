@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 
-def normal_angles(result_vertices: ArrayLike, truth_vertices: ArrayLike, faces: ArrayLike) -> NDArray[np.float64]:
+def normal_angles(
+    result_vertices: ArrayLike, truth_vertices: ArrayLike, faces: ArrayLike
+) -> NDArray[np.float64]:
     """Computes the angle between each face's normals in two meshes that share their faces.
 
     Args:
@@ -90,10 +92,11 @@ def vertex_error(
 
     Paper: Sec. 7.2, Eq. 8. Choice: docs/choices.md#e-v.
     """
-    meshes = []
-    for vertices, faces in ((result_vertices, result_faces), (truth_vertices, truth_faces)):
-        meshes += [
-            np.ascontiguousarray(vertices, dtype=np.float64),
-            np.ascontiguousarray(faces, dtype=np.uint32),
-        ]
-    return _geom.vertex_error(*meshes, samples, seed)
+    return _geom.vertex_error(
+        np.ascontiguousarray(result_vertices, dtype=np.float64),
+        np.ascontiguousarray(result_faces, dtype=np.uint32),
+        np.ascontiguousarray(truth_vertices, dtype=np.float64),
+        np.ascontiguousarray(truth_faces, dtype=np.uint32),
+        samples,
+        seed,
+    )

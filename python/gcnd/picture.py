@@ -128,7 +128,7 @@ def _draw(
     shade = 0.35 + 0.65 * np.clip((normals[order] @ view.T) @ light, 0, 1)
     triangles = (panel.vertices @ view[:2].T)[panel.faces[order]]
     fill = np.clip(base * shade[:, None], 0, 1)
-    axes.add_collection(PolyCollection(triangles, facecolors=fill, edgecolors=fill, linewidths=0.2))
+    axes.add_collection(PolyCollection(list(triangles), facecolors=fill, edgecolors=fill, linewidths=0.5))
     x, y, half = window
     axes.set_xlim(x - half, x + half)
     axes.set_ylim(y - half, y + half)

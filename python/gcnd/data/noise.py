@@ -12,7 +12,7 @@ from scipy import sparse
 from gcnd.errors import ConfigError
 
 FloatArray = npt.NDArray[np.float64]
-FaceArray = npt.NDArray[np.uint32]
+FaceArray = npt.NDArray[np.integer]
 
 NoiseKind = Literal["gaussian", "impulsive", "isotropic", "varying", "correlated"]
 """The kinds of noise that `add_noise` makes."""
@@ -156,9 +156,7 @@ class NoiseSource:
         else:
             amplitude = _AMPLITUDES[kind](rng, n_vertices, self._faces, fraction)
             offset = amplitude[:, None] * self._normals
-        return np.asarray(
-            self._clean + level * self.mean_edge * offset[self._inverse], dtype=np.float64
-        )
+        return np.asarray(self._clean + level * self.mean_edge * offset[self._inverse], dtype=np.float64)
 
 
 def _check(kind: str, level: float, fraction: float) -> None:
@@ -178,7 +176,8 @@ def _unique_edges(faces: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
         return pairs
     n_vertices = int(pairs.max()) + 1
     keys = np.unique(pairs[:, 0] * n_vertices + pairs[:, 1])
-    return np.stack([keys // n_vertices, keys % n_vertices], axis=1)
+    edges: npt.NDArray[np.int64] = np.stack([keys // n_vertices, keys % n_vertices], axis=1)
+    return edges
 
 
 def _averaging(n_vertices: int, faces: npt.NDArray[np.integer]) -> sparse.csr_array:

@@ -92,7 +92,8 @@ def kind_sequence(n: int, kinds: Mapping[ShapeKind, float]) -> list[ShapeKind]:
     total = sum(kinds.values())
     if unknown or not total > 0 or min(kinds.values()) < 0:
         raise ConfigError(
-            f"shares of shape kinds are {dict(kinds)}", hint=f"give {', '.join(SHAPE_KINDS)} shares >= 0, not all 0"
+            f"shares of shape kinds are {dict(kinds)}",
+            hint=f"give {', '.join(SHAPE_KINDS)} shares >= 0, not all 0",
         )
     made = dict.fromkeys(kinds, 0)
     sequence: list[ShapeKind] = []

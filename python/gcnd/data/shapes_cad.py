@@ -7,7 +7,16 @@ from collections.abc import Callable
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 
-from gcnd.data.shapes_profiles import ball_segments, circle, lathe_profile, outline, polygon, rectangle, rounded, segments
+from gcnd.data.shapes_profiles import (
+    ball_segments,
+    circle,
+    lathe_profile,
+    outline,
+    polygon,
+    rectangle,
+    rounded,
+    segments,
+)
 
 Part = Callable[[np.random.Generator], Manifold]
 
@@ -199,7 +208,9 @@ def _pipe(rng: np.random.Generator) -> Manifold:
             onward[2, 3] = length
             if rng.random() < 0.5:
                 wide = r * float(rng.uniform(1.3, 1.8))
-                piece += Manifold.cylinder(0.06, wide, wide, segments(wide)).translate((0.0, 0.0, 0.5 * length))
+                piece += Manifold.cylinder(0.06, wide, wide, segments(wide)).translate(
+                    (0.0, 0.0, 0.5 * length)
+                )
         else:
             angle, radius = float(rng.uniform(30, 120)), r * float(rng.uniform(1.3, 2.5))
             ring = circle(r).translate((radius, 0.0)).revolve(segments(radius + r), angle)

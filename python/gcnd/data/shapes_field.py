@@ -54,7 +54,9 @@ class SmoothNoise:
     def __call__(self, points: npt.NDArray[np.floating]) -> FloatArray:
         """Return the field at (N, 3) points, (N,) float64."""
         cells = (np.asarray(points, np.float64) @ self._turn.T) * self._scale + self._shift
-        values = ndimage.map_coordinates(self._coefficients, cells.T, order=3, mode="grid-wrap", prefilter=False)
+        values = ndimage.map_coordinates(
+            self._coefficients, cells.T, order=3, mode="grid-wrap", prefilter=False
+        )
         return np.asarray(values)
 
 
@@ -127,7 +129,9 @@ def _sampled(field: Field, shape: tuple[int, ...], step: float) -> npt.NDArray[n
     coarse_shape = [(n - 1) // _COARSE + 1 for n in shape]
     coarse = np.stack(np.meshgrid(*(np.arange(n) * _COARSE for n in coarse_shape), indexing="ij"), axis=-1)
     known = evaluate(coarse.reshape(-1, 3).astype(np.float64)).reshape(coarse_shape).astype(np.float32)
-    values = np.asarray(ndimage.zoom(known, [n / m for n, m in zip(shape, coarse_shape, strict=True)], order=1))
+    values = np.asarray(
+        ndimage.zoom(known, [n / m for n, m in zip(shape, coarse_shape, strict=True)], order=1)
+    )
     near = np.argwhere(np.abs(values) < _BAND * step)
     values[tuple(near.T)] = evaluate(near.astype(np.float64))
     for axis in range(3):
@@ -153,7 +157,9 @@ def _onto_zero(values: npt.NDArray[np.float32], points: FloatArray) -> FloatArra
     coefficients = ndimage.spline_filter(values.astype(np.float64), order=3)
 
     def at(p: FloatArray) -> FloatArray:
-        return np.asarray(ndimage.map_coordinates(coefficients, p.T, order=3, prefilter=False, mode="nearest"))
+        return np.asarray(
+            ndimage.map_coordinates(coefficients, p.T, order=3, prefilter=False, mode="nearest")
+        )
 
     h = 0.05
     slopes = [(at(points + h * e) - at(points - h * e)) / (2 * h) for e in np.eye(3)]

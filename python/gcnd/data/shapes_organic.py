@@ -13,6 +13,7 @@ from gcnd.data.shapes_field import SmoothNoise, iso_surface, rod, smooth_union
 
 Mesh = tuple[FloatArray, FaceArray]
 
+
 def smooth_body(rng: np.random.Generator) -> tuple[str, FloatArray, FaceArray]:
     """Return a random smooth closed surface, finely and irregularly triangulated.
 

@@ -36,7 +36,8 @@ class FoldedEdgeConv(nn.Module):
         self.center = _linear(layer.center.weight * scale[:, None], shift)
         self.fused = layer.order == "edge" or bool((scale >= 0).all())
         self.neighbor = _linear(layer.neighbor.weight * (scale[:, None] if self.fused else 1.0), None)
-        self.register_buffer("scale", None if self.fused else scale)
+        self.scale: Tensor
+        self.register_buffer("scale", torch.ones_like(scale) if self.fused else scale)
 
     def forward(self, x: Tensor, neighbors: Tensor | None = None) -> Tensor:
         """Maps (P, N, C) and, for a static layer, (P, N, K) neighbours to (P, N, C')."""

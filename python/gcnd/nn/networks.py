@@ -6,7 +6,8 @@ Channels of the features: centroid (3), normal (3), area, degree, then the verte
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any, Literal
 
 import torch
@@ -62,8 +63,8 @@ class NetworkConfig:
     def from_dict(cls, values: dict[str, Any]) -> NetworkConfig:
         """Rebuilds a configuration from ``to_dict``; raises ``ConfigError`` on unknown or missing fields."""
         try:
-            lists = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-            return replace(cls(**lists))
+            lists: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+            return cls(**lists)
         except TypeError as error:
             raise ConfigError(f"network configuration does not fit: {error}") from error
 
@@ -132,9 +133,7 @@ class CentreNormalNet(nn.Module):
         self.trunk = GraphTrunk(config)
         self.pool = DenseNorm(self.trunk.out_channels, config.pool_channels, config.slope)
         widths = (2 * config.pool_channels, *config.head_channels)
-        self.head = nn.Sequential(
-            *(DenseNorm(a, b, config.slope) for a, b in zip(widths[:-1], widths[1:], strict=True))
-        )
+        self.head = nn.Sequential(*(DenseNorm(a, b, config.slope) for a, b in pairwise(widths)))
         self.out = nn.Linear(widths[-1], 3)
 
     def forward(self, features: Tensor, neighbors: Tensor) -> Tensor:
@@ -166,9 +165,7 @@ class NodeNormalNet(nn.Module):
         self.head_patch = nn.Linear(2 * config.pool_channels, first, bias=False)
         self.head_norm = NodeBatchNorm(first)
         widths = (first, *rest)
-        self.head = nn.Sequential(
-            *(DenseNorm(a, b, config.slope) for a, b in zip(widths[:-1], widths[1:], strict=True))
-        )
+        self.head = nn.Sequential(*(DenseNorm(a, b, config.slope) for a, b in pairwise(widths)))
         self.out = nn.Linear(widths[-1], 3)
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)

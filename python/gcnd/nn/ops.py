@@ -56,7 +56,7 @@ class _GatherMax(torch.autograd.Function):
         return out
 
     @staticmethod
-    def backward(ctx: Any, grad_out: Tensor) -> tuple[Tensor, None]:  # type: ignore[override]
+    def backward(ctx: Any, grad_out: Tensor) -> tuple[Tensor, None]:
         (argmax,) = ctx.saved_tensors
         grad_out = grad_out.contiguous()
         grad = torch.empty_like(grad_out)
@@ -74,7 +74,7 @@ class _GatherSum(torch.autograd.Function):
         return out
 
     @staticmethod
-    def backward(ctx: Any, grad_out: Tensor) -> tuple[Tensor, None]:  # type: ignore[override]
+    def backward(ctx: Any, grad_out: Tensor) -> tuple[Tensor, None]:
         (neighbors,) = ctx.saved_tensors
         grad_out = grad_out.contiguous()
         grad = torch.empty_like(grad_out)

@@ -82,7 +82,7 @@ class TrainingRun:
             if not path.exists():
                 state = self._train_stage(index, config, trained)
                 save_tensors(path, state, {"config": asdict(config)})
-            network = build_network(config.stage.network).to(self.device)
+            network: nn.Module = build_network(config.stage.network).to(self.device)
             network.load_state_dict(load_tensors(path)[0])
             trained.append((config.stage, network.eval()))
         cascade = Cascade(
@@ -153,9 +153,7 @@ class TrainingRun:
     ) -> NDArray[np.float64]:
         return run_stages(shape, noisy_vertices(shape, VALIDATION_NOISE), before, 0, self.device)
 
-    def _validate(
-        self, trainer: Trainer, config: TrainConfig, starts: list[NDArray[np.float64]]
-    ) -> float:
+    def _validate(self, trainer: Trainer, config: TrainConfig, starts: list[NDArray[np.float64]]) -> float:
         """Mean E_a of the averaged weights' normals on the validation shapes, in degrees."""
         network = evaluation_copy(trainer.network, trainer.average.state)
         errors = []

@@ -10,13 +10,16 @@ import torch
 from torch import Tensor
 
 from gcnd import _geom
-from gcnd.data.noise import NoiseSource
+from gcnd.data.noise import NOISE_KINDS, NoiseKind, NoiseSource
 from gcnd.predict import PatchArrays, make_extractor
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from gcnd.nn.cascade import PatchConfig
+
+_NOISE_SHARES = (0.6, 0.15, 0.1, 0.1, 0.05)
+"""Of the kinds of noise in training, in the order of ``NOISE_KINDS``."""
 
 FEATURE_CLASSES = (1, 2)
 """Edge and corner faces in ``_geom.classify_faces``: the paper's group of feature faces (Sec. 5.2)."""
@@ -42,7 +45,7 @@ class Batch(NamedTuple):
 class NoiseDraw:
     """Parameters of one noisy version of a shape."""
 
-    kind: str
+    kind: NoiseKind
     level: float
     fraction: float
     seed: int
@@ -84,11 +87,7 @@ def draw_noise(rng: np.random.Generator) -> NoiseDraw:
     Gaussian along the normals in six of ten, the rest impulsive, isotropic, varying and correlated; levels
     mostly 0.05…0.4 of the mean edge, one in ten nearly clean, one in ten up to 0.7.
     """
-    kind = str(
-        rng.choice(
-            ["gaussian", "impulsive", "isotropic", "varying", "correlated"], p=[0.6, 0.15, 0.1, 0.1, 0.05]
-        )
-    )
+    kind = NOISE_KINDS[int(rng.choice(len(NOISE_KINDS), p=_NOISE_SHARES))]
     low, high = [(0.0, 0.05), (0.05, 0.4), (0.4, 0.7)][int(rng.choice(3, p=[0.1, 0.8, 0.1]))]
     return NoiseDraw(
         kind, float(rng.uniform(low, high)), float(rng.uniform(0.1, 0.6)), int(rng.integers(2**31))
@@ -138,7 +137,10 @@ class FreshNoise:
 def noisy_vertices(shape: CleanShape, noise: NoiseDraw) -> NDArray[np.float64]:
     """Adds one draw of noise to a shape's vertices."""
     return shape.noise.sample(
-        kind=noise.kind, level=noise.level, fraction=noise.fraction, seed=noise.seed  # type: ignore[arg-type]
+        kind=noise.kind,
+        level=noise.level,
+        fraction=noise.fraction,
+        seed=noise.seed,
     )
 
 
