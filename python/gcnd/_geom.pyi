@@ -82,6 +82,9 @@ class NormalAccumulator:
     def uncovered(self) -> Ids:
         """Faces that nothing was added for."""
 
+    def spread(self) -> NDArray[np.float64]:
+        """How far the predictions for each face disagree (F,), about radians; 0 for a single one."""
+
     def normals(self, fallback: Points) -> Points:
         """Averaged unit normals (F, 3); a face's ``fallback`` where nothing was added."""
 
@@ -111,6 +114,19 @@ def refine_normals(
     radius: float = 2.0,
 ) -> Points:
     """Bilateral refinement of normals (Eq. 5)."""
+
+def refine_consistent(
+    topology: Topology,
+    vertices: Points,
+    normals: Points,
+    spread: NDArray[np.float64],
+    *,
+    iterations: int,
+    tolerance: float,
+    sigma_r: float = 0.3,
+    region_rounds: int = 20,
+) -> Points:
+    """Eq. 5 where it moves normals no further than the predictions disagree; ``spread`` (F,)."""
 
 def update_vertices(topology: Topology, vertices: Points, normals: Points, iterations: int) -> Points:
     """Moves vertices to fit normals (Eq. 6)."""

@@ -6,6 +6,7 @@ last → save.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from gcnd import _geom
 from gcnd.errors import ConfigError
 from gcnd.mesh_io import to_arrays
-from gcnd.predict import predict_normals
+from gcnd.predict import predict_normals, refined
 from gcnd.weights import load_cascade
 
 if TYPE_CHECKING:
@@ -45,8 +46,9 @@ def denoise(
         preset: Name of shipped weights (``gcnd models`` lists them), or the path of a weights file.
         device: "cpu", or "cuda" where torch has it.
         seed: Chooses the patches that cover the mesh; the same seed gives the same result on the CPU.
-        normal_iterations: m, iterations of normal refinement (Eq. 5) after the last stage; 0 is none. The paper
-            takes 12 for CAD models and depth-camera scans, 1 otherwise. ``None`` takes the preset's.
+        normal_iterations: m, iterations of normal refinement (Eq. 5) on every face after the last stage; 0 is none.
+            The paper takes 12 for CAD models and depth-camera scans, 1 otherwise. ``None`` does what the preset
+            says: ours refines where overlapping predictions allow it.
         vertex_iterations: Iterations of vertex updating (Eq. 6) after each stage; ``None`` takes the preset's, 15.
         progress: Called now and then with (fraction done, what is being done).
 
@@ -115,11 +117,11 @@ def denoise_arrays(
 
     Paper: Fig. 2; Sec. 6 for what follows the last network.
     """
-    config = cascade.config
-    if normal_iterations is None:
-        normal_iterations = config.normal_iterations
     if vertex_iterations is None:
-        vertex_iterations = config.vertex_iterations
+        vertex_iterations = cascade.config.vertex_iterations
+    refinement = cascade.config.refinement
+    if normal_iterations is not None:
+        refinement = replace(refinement, iterations=normal_iterations, tolerance=None)
     # Work around the origin: far away from it, single positions keep fewer digits than noise has.
     origin = vertices.mean(axis=0)
     vertices = vertices - origin
@@ -133,11 +135,11 @@ def denoise_arrays(
                 progress((index + fraction) / len(passes), label)
 
         report(0.0)
-        normals = predict_normals(
+        prediction = predict_normals(
             topology, vertices, stage, network, seed=seed + index, device=device, progress=report
         )
-        if index == len(passes) - 1:
-            normals = _geom.refine_normals(topology, vertices, normals, iterations=normal_iterations)
+        is_last = index == len(passes) - 1
+        normals = refined(topology, vertices, prediction, refinement) if is_last else prediction.normals
         vertices = _geom.update_vertices(topology, vertices, normals, vertex_iterations)
     if progress is not None:
         progress(1.0, "done")

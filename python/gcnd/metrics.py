@@ -90,7 +90,7 @@ def vertex_error(
     Raises:
         MeshError: An index is out of range, a coordinate is not finite or a mesh is empty.
 
-    Paper: Sec. 7.2, Eq. 8. Choice: docs/choices.md#e-v.
+    Paper: Sec. 7.2, Eq. 8. Choice: docs/choices.md#vertex-error.
     """
     return _geom.vertex_error(
         np.ascontiguousarray(result_vertices, dtype=np.float64),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import torch
 
 from gcnd import _geom
-from gcnd.nn.cascade import PatchConfig, StageConfig
+from gcnd.nn.cascade import PatchConfig, RefinementConfig, StageConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -22,6 +22,18 @@ Precision = Literal["float32", "bfloat16"]
 
 PATCH_NODES_IN_FLIGHT = 1 << 16
 """Patch nodes extracted at a time; bounds the memory of prediction whatever the mesh."""
+
+
+class Prediction(NamedTuple):
+    """What a network says of every face.
+
+    Attributes:
+        normals: Unit normals (F, 3), world frame; zero only for a face without area that no patch covers.
+        spread: How far the overlapping predictions for a face disagree (F,), about radians; 0 for a single one.
+    """
+
+    normals: NDArray[np.float64]
+    spread: NDArray[np.float64]
 
 
 class PatchArrays:
@@ -92,7 +104,7 @@ def predict_normals(
     device: torch.device | str = "cpu",
     precision: Precision = "float32",
     progress: Callable[[float], None] | None = None,
-) -> NDArray[np.float64]:
+) -> Prediction:
     """Predicts the noise-free normal of every face with one network.
 
     A network that returns every node's normal runs on patches around ``stage.patches_per_face`` of the faces;
@@ -111,7 +123,7 @@ def predict_normals(
         progress: Called with the fraction done.
 
     Returns:
-        Unit normals (F, 3), world frame; zero only for a face without area that no patch covers.
+        Normals and their spread.
 
     Paper: Sec. 5. Choice: docs/choices.md#cover.
     """
@@ -134,7 +146,31 @@ def predict_normals(
     if per_node:
         for _, chunk in _chunks(accumulator.uncovered(), batch):
             _add_chunk(extractor, accumulator, buffers.head(len(chunk)), chunk, predict, True)
-    return accumulator.normals(extractor.normals())
+    return Prediction(accumulator.normals(extractor.normals()), accumulator.spread())
+
+
+def refined(
+    topology: _geom.Topology,
+    vertices: NDArray[np.float64],
+    prediction: Prediction,
+    refinement: RefinementConfig,
+) -> NDArray[np.float64]:
+    """Refines predicted normals (F, 3) by Eq. 5, everywhere or where the spread of the predictions allows it.
+
+    Paper: Sec. 6.1. Choice: docs/choices.md#refinement.
+    """
+    m, sigma_r = refinement.iterations, refinement.sigma_r
+    if refinement.tolerance is None:
+        return _geom.refine_normals(topology, vertices, prediction.normals, iterations=m, sigma_r=sigma_r)
+    return _geom.refine_consistent(
+        topology,
+        vertices,
+        prediction.normals,
+        prediction.spread,
+        iterations=m,
+        sigma_r=sigma_r,
+        tolerance=refinement.tolerance,
+    )
 
 
 @torch.inference_mode()

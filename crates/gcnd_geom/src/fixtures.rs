@@ -56,10 +56,7 @@ pub fn moebius() -> MeshParts {
 
 /// Three faces that share the edge 0–1.
 pub fn three_on_an_edge() -> MeshParts {
-    (
-        vec![DVec3::ZERO, DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z],
-        vec![[0, 1, 2], [1, 0, 3], [0, 1, 4]],
-    )
+    (vec![DVec3::ZERO, DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z], vec![[0, 1, 2], [1, 0, 3], [0, 1, 4]])
 }
 
 /// Two faces that touch in a single vertex.

@@ -176,13 +176,7 @@ fn build_edge_neighbors(faces: &[Face], vertex_faces: &Csr) -> Csr {
 
 /// Appends the faces across each edge of one face; scans the shorter of the edge's two vertex stars, so
 /// that a hub vertex of high degree costs nothing extra.
-fn push_edge_neighbors(
-    face_id: u32,
-    face: &Face,
-    faces: &[Face],
-    vertex_faces: &Csr,
-    values: &mut Vec<u32>,
-) {
+fn push_edge_neighbors(face_id: u32, face: &Face, faces: &[Face], vertex_faces: &Csr, values: &mut Vec<u32>) {
     let start = values.len();
     for edge in 0..3 {
         let (a, b) = (face[edge], face[(edge + 1) % 3]);

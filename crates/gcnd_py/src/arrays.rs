@@ -38,7 +38,9 @@ pub fn faces<'a>(array: &'a Faces<'_>) -> PyResult<&'a [Face]> {
 
 /// Any contiguous array as a slice.
 pub fn slice<'a, T: Element>(name: &str, array: &'a PyReadonlyArrayDyn<'_, T>) -> PyResult<&'a [T]> {
-    array.as_slice().map_err(|_| ConfigError::new_err(format!("{name} must be a contiguous array in C order")))
+    array
+        .as_slice()
+        .map_err(|_| ConfigError::new_err(format!("{name} must be a contiguous array in C order")))
 }
 
 /// Any contiguous writable array as a slice.

@@ -10,7 +10,9 @@ pyo3::import_exception!(gcnd.errors, ConfigError);
 pub fn to_python(error: &GeomError) -> PyErr {
     let message = error.to_string();
     match error {
-        GeomError::InvalidParameter { .. } | GeomError::LengthMismatch { .. } => ConfigError::new_err(message),
+        GeomError::InvalidParameter { .. } | GeomError::LengthMismatch { .. } => {
+            ConfigError::new_err(message)
+        }
         _ => MeshError::new_err(message),
     }
 }

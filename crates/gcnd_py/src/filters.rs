@@ -3,10 +3,10 @@
 use crate::arrays::{self, Faces, Points};
 use crate::errors::{ConfigError, IntoPython};
 use crate::mesh::PyTopology;
-use gcnd_geom::normals::{Neighborhood, RefineParams};
+use gcnd_geom::normals::{AdaptiveParams, Neighborhood, RefineParams};
 use gcnd_geom::remesh::RemeshParams;
 use gcnd_geom::{face_geometry, metrics, normals, vertex_update};
-use numpy::{IntoPyArray, PyArray1, PyArray2};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1};
 use pyo3::prelude::*;
 
 fn neighborhood_from(name: &str, radius: f64) -> PyResult<Neighborhood> {
@@ -39,8 +39,30 @@ pub fn refine_normals<'py>(
         RefineParams { iterations, sigma_s, sigma_r, neighborhood: neighborhood_from(neighborhood, radius)? };
     let (vertices, input) = (arrays::points("vertices", &vertices)?, arrays::points("normals", &normals)?);
     let topology = &topology.inner;
+    let refined = py.detach(|| normals::refine_normals(topology, vertices, input, &params)).into_python()?;
+    arrays::triples(py, refined)
+}
+
+#[pyfunction]
+#[pyo3(signature = (topology, vertices, normals, spread, *, iterations, tolerance, sigma_r=0.3, region_rounds=20))]
+#[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
+pub fn refine_consistent<'py>(
+    py: Python<'py>,
+    topology: &PyTopology,
+    vertices: Points<'py>,
+    normals: Points<'py>,
+    spread: PyReadonlyArray1<'py, f64>,
+    iterations: usize,
+    tolerance: f64,
+    sigma_r: f64,
+    region_rounds: usize,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let refine = RefineParams { iterations, sigma_r, ..RefineParams::default() };
+    let params = AdaptiveParams { refine, tolerance, region_rounds };
+    let (vertices, input) = (arrays::points("vertices", &vertices)?, arrays::points("normals", &normals)?);
+    let (topology, spread) = (&topology.inner, spread.as_slice()?);
     let refined =
-        py.detach(|| normals::refine_normals(topology, vertices, input, &params)).into_python()?;
+        py.detach(|| normals::refine_consistent(topology, vertices, input, spread, &params)).into_python()?;
     arrays::triples(py, refined)
 }
 
@@ -106,7 +128,7 @@ pub fn remesh<'py>(
     target_edge_length: f64,
     feature_angle_deg: f64,
     iterations: usize,
-    sizes: Option<numpy::PyReadonlyArray1<'py, f64>>,
+    sizes: Option<PyReadonlyArray1<'py, f64>>,
 ) -> PyResult<MeshArrays<'py>> {
     let params = RemeshParams { target_edge_length, feature_angle_deg, iterations };
     let (vertices, faces) = (arrays::points("vertices", &vertices)?, arrays::faces(&faces)?);

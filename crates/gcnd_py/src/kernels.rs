@@ -4,7 +4,8 @@ use crate::arrays::{slice, slice_mut};
 use crate::errors::{ConfigError, IntoPython};
 use gcnd_geom::kernels::{self, Bf16, GatherShape};
 use numpy::{
-    PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyReadwriteArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
+    PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyReadwriteArrayDyn, PyUntypedArray,
+    PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 
@@ -142,11 +143,7 @@ pub fn edge_max_leaky(
 }
 
 #[pyfunction]
-pub fn knn(
-    py: Python<'_>,
-    features: Untyped<'_, '_>,
-    mut out: PyReadwriteArrayDyn<'_, i32>,
-) -> PyResult<()> {
+pub fn knn(py: Python<'_>, features: Untyped<'_, '_>, mut out: PyReadwriteArrayDyn<'_, i32>) -> PyResult<()> {
     let [n_patches, n_nodes, n_channels] = sizes("features", features.shape())?;
     let [_, _, k] = sizes::<3>("out", out.shape())?;
     let out = slice_mut("out", &mut out)?;

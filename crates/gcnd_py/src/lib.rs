@@ -13,10 +13,14 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _geom {
     #[pymodule_export]
-    use super::filters::{mean_edge_length, normal_angles, refine_normals, remesh, update_vertices, vertex_error};
+    use super::filters::{
+        mean_edge_length, normal_angles, refine_consistent, refine_normals, remesh, update_vertices,
+        vertex_error,
+    };
     #[pymodule_export]
     use super::kernels::{
-        edge_max_leaky, gather_max, gather_max_argmax, gather_max_backward, gather_sum, gather_sum_backward, knn,
+        edge_max_leaky, gather_max, gather_max_argmax, gather_max_backward, gather_sum, gather_sum_backward,
+        knn,
     };
     #[pymodule_export]
     use super::mesh::{PyTopology, face_geometry, validate, weld};

@@ -3,9 +3,14 @@
 use crate::arrays::{self, Points, slice, slice_mut};
 use crate::errors::{ConfigError, IntoPython};
 use crate::mesh::PyTopology;
-use gcnd_geom::patch::{self, Budget, NormalAccumulator, PatchBuffers, PatchExtractor, PatchParams, VotingRegion};
+use gcnd_geom::patch::{
+    self, Budget, NormalAccumulator, PatchBuffers, PatchExtractor, PatchParams, VotingRegion,
+};
 use gcnd_geom::{DVec3, Topology};
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArrayDyn, PyReadwriteArrayDyn, PyUntypedArrayMethods};
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArrayDyn, PyReadwriteArrayDyn,
+    PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
 use std::sync::{Arc, Mutex};
 
@@ -73,7 +78,9 @@ impl PyPatchExtractor {
         let mesh = Mesh { topology: Arc::clone(&topology.inner), vertices };
         let cell = py
             .detach(|| {
-                ExtractorCell::try_new(mesh, |mesh| PatchExtractor::new(&mesh.topology, &mesh.vertices, params))
+                ExtractorCell::try_new(mesh, |mesh| {
+                    PatchExtractor::new(&mesh.topology, &mesh.vertices, params)
+                })
             })
             .into_python()?;
         Ok(Self { cell })
@@ -195,6 +202,10 @@ impl PyNormalAccumulator {
 
     fn uncovered<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u32>> {
         self.lock().uncovered().into_pyarray(py)
+    }
+
+    fn spread<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.lock().spread().into_pyarray(py)
     }
 
     fn normals<'py>(&self, py: Python<'py>, fallback: Points<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {

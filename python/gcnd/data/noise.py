@@ -12,7 +12,8 @@ from scipy import sparse
 from gcnd.errors import ConfigError
 
 FloatArray = npt.NDArray[np.float64]
-FaceArray = npt.NDArray[np.integer]
+FaceArray = npt.NDArray[np.uint32]
+AnyFaces = npt.NDArray[np.integer]
 
 NoiseKind = Literal["gaussian", "impulsive", "isotropic", "varying", "correlated"]
 """The kinds of noise that `add_noise` makes."""
@@ -26,7 +27,7 @@ _VARYING_SMOOTHING = 60
 _CORRELATED_SMOOTHING = (2, 8)
 
 
-def mean_edge_length(vertices: FloatArray, faces: FaceArray) -> float:
+def mean_edge_length(vertices: FloatArray, faces: AnyFaces) -> float:
     """Return the mean length of a mesh's edges, each counted once, in mesh units.
 
     Args:
@@ -48,7 +49,7 @@ def mean_edge_length(vertices: FloatArray, faces: FaceArray) -> float:
     return float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean())
 
 
-def vertex_normals(vertices: FloatArray, faces: FaceArray) -> FloatArray:
+def vertex_normals(vertices: FloatArray, faces: AnyFaces) -> FloatArray:
     """Return the area-weighted unit normal of every vertex.
 
     n_v = s / |s|, s the sum over the faces at v of (p_1 - p_0) x (p_2 - p_0).
@@ -73,7 +74,8 @@ def vertex_normals(vertices: FloatArray, faces: FaceArray) -> FloatArray:
         for axis in range(3):
             total[:, axis] += np.bincount(faces[:, slot], weights=cross[:, axis], minlength=len(vertices))
     length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+    normals: FloatArray = np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+    return normals
 
 
 def add_noise(
@@ -170,12 +172,14 @@ def _check(kind: str, level: float, fraction: float) -> None:
 
 def _unique_edges(faces: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
     """Return (E, 2) vertex id pairs, smaller id first, each once, without edges from a vertex to itself."""
-    pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64), axis=1)
+    pairs: npt.NDArray[np.int64] = np.sort(
+        faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64), axis=1
+    )
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     if len(pairs) == 0:
         return pairs
     n_vertices = int(pairs.max()) + 1
-    keys = np.unique(pairs[:, 0] * n_vertices + pairs[:, 1])
+    keys: npt.NDArray[np.int64] = np.unique(pairs[:, 0] * n_vertices + pairs[:, 1])
     edges: npt.NDArray[np.int64] = np.stack([keys // n_vertices, keys % n_vertices], axis=1)
     return edges
 

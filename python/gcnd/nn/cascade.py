@@ -20,7 +20,7 @@ class PatchConfig:
         n_nodes: Nodes a patch, 16…512.
         budget: "nearest" keeps the nearest faces, "random" shrinks or repeats at random (paper Sec. 7.5).
         voting_region: Faces that vote for the frame: all of the "patch" (text) or the "two_ring".
-        sigma_vote: σ of the voting weight in units of r. Choice: docs/choices.md#sigma-vote.
+        sigma_vote: σ of the voting weight in units of r. Choice: docs/choices.md#voting-sigma.
         vertex_offsets: Whether nine channels of vertex offsets follow the paper's eight.
     """
 
@@ -86,17 +86,34 @@ class StageConfig:
 
 
 @dataclass(frozen=True)
+class RefinementConfig:
+    """What is done to the normals after the last stage (Eq. 5).
+
+    Attributes:
+        iterations: m; 0 leaves the normals as predicted.
+        sigma_r: σ_r.
+        tolerance: Refine only where that moves normals no further than this many times what overlapping
+            predictions disagree by; ``None`` refines everywhere, as the text does.
+            Choice: docs/choices.md#refinement.
+    """
+
+    iterations: int = 1
+    sigma_r: float = 0.3
+    tolerance: float | None = None
+
+
+@dataclass(frozen=True)
 class CascadeConfig:
     """All stages of a cascade and what is done after the last one.
 
     Attributes:
         stages: In the order in which they run.
-        normal_iterations: m of Eq. 5 after the last stage; 0 leaves the normals as predicted.
+        refinement: Of the last stage's normals.
         vertex_iterations: Iterations of Eq. 6 after every pass.
     """
 
     stages: tuple[StageConfig, ...]
-    normal_iterations: int = 1
+    refinement: RefinementConfig = field(default_factory=RefinementConfig)
     vertex_iterations: int = 15
 
     def to_dict(self) -> dict[str, Any]:
@@ -109,7 +126,7 @@ class CascadeConfig:
         try:
             return cls(
                 stages=tuple(StageConfig.from_dict(stage) for stage in values["stages"]),
-                normal_iterations=int(values["normal_iterations"]),
+                refinement=RefinementConfig(**values["refinement"]),
                 vertex_iterations=int(values["vertex_iterations"]),
             )
         except (KeyError, TypeError, ValueError) as error:

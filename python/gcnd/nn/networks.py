@@ -48,6 +48,10 @@ class NetworkConfig:
     slope: float = 0.2
 
     def __post_init__(self) -> None:
+        if self.architecture not in ("centre", "nodes"):
+            raise ConfigError(f"architecture is {self.architecture!r}, allowed: 'centre' or 'nodes'")
+        if self.norm_order not in ("edge", "node"):
+            raise ConfigError(f"norm_order is {self.norm_order!r}, allowed: 'edge' or 'node'")
         if self.in_channels not in (8, 17):
             raise ConfigError(f"in_channels is {self.in_channels}, allowed: 8 or 17")
         if not self.static_channels and not self.dynamic_channels:

@@ -130,10 +130,9 @@ def edge_max_leaky(a: Tensor, b: Tensor, neighbors: Tensor, slope: float) -> Ten
     """
     if not (_use_native(a) and a.dtype == torch.float32):
         return torch.nn.functional.leaky_relu(a + gather_max(b, neighbors), slope)
+    a, b, neighbors = a.contiguous(), b.contiguous(), neighbors.contiguous()
     out = torch.empty_like(a)
-    _geom.edge_max_leaky(
-        _array(a.contiguous()), _array(b.contiguous()), neighbors.contiguous().numpy(), slope, _array(out)
-    )
+    _geom.edge_max_leaky(_array(a), _array(b), neighbors.numpy(), slope, _array(out))
     return out
 
 
@@ -155,7 +154,10 @@ def knn(features: Tensor, k: int) -> Tensor:
         out = torch.empty((*features.shape[:2], k), dtype=torch.int32)
         _geom.knn(_array(features), out.numpy())
         return out
-    squared = features.float().square().sum(-1)
-    gram = torch.matmul(features, features.transpose(1, 2)).float()
+    # In bfloat16, autocast's included, the distances of near nodes drown in the rounding of their norms.
+    with torch.autocast(features.device.type, enabled=False):
+        features = features.float()
+        squared = features.square().sum(-1)
+        gram = torch.matmul(features, features.transpose(1, 2))
     distance = squared.unsqueeze(2) - 2 * gram + squared.unsqueeze(1)
     return distance.topk(k, dim=-1, largest=False).indices.int()

@@ -38,10 +38,10 @@ def run_stages(
 ) -> NDArray[np.float64]:
     """Denoises positions (V, 3) by every stage in turn: normals, then vertex updating (paper Sec. 5.1)."""
     for index, (config, network) in enumerate(stages):
-        normals = predict_normals(
+        prediction = predict_normals(
             shape.topology, vertices, config, network, seed=seed + index, device=device, precision="bfloat16"
         )
-        vertices = _geom.update_vertices(shape.topology, vertices, normals, VERTEX_ITERATIONS)
+        vertices = _geom.update_vertices(shape.topology, vertices, prediction.normals, VERTEX_ITERATIONS)
     return vertices
 
 

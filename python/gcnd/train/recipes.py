@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from gcnd.errors import ConfigError
-from gcnd.nn.cascade import PatchConfig, StageConfig
+from gcnd.nn.cascade import PatchConfig, RefinementConfig, StageConfig
 from gcnd.nn.networks import PAPER_FIRST, PAPER_NEXT, NetworkConfig
 from gcnd.train.loop import TrainConfig
 from gcnd.train.samples import ChunkConfig
@@ -27,7 +27,7 @@ class Recipe:
         warm_start: Whether a stage starts from the weights of the one before, where the layouts agree.
         n_shapes: Procedural shapes.
         pool_size: Meshes denoised by the stages before, for every stage but the first.
-        normal_iterations: m of Eq. 5 after the last stage.
+        refinement: Of the normals after the last stage.
         seed: Of shapes, data and weights.
     """
 
@@ -37,7 +37,7 @@ class Recipe:
     warm_start: bool = True
     n_shapes: int = 80
     pool_size: int = 100
-    normal_iterations: int = 1
+    refinement: RefinementConfig = field(default_factory=RefinementConfig)
     seed: int = field(default=0)
 
 
@@ -51,7 +51,7 @@ def _default(steps: int, later_steps: int) -> Recipe:
             TrainConfig(stage, steps=steps),
             TrainConfig(again, steps=later_steps, lr=1e-3, seed=1),
         ),
-        normal_iterations=4,
+        refinement=RefinementConfig(iterations=12, sigma_r=0.15, tolerance=1.5),
     )
 
 

@@ -86,9 +86,7 @@ class TrainingRun:
             network.load_state_dict(load_tensors(path)[0])
             trained.append((config.stage, network.eval()))
         cascade = Cascade(
-            CascadeConfig(
-                tuple(config for config, _ in trained), normal_iterations=self.recipe.normal_iterations
-            )
+            CascadeConfig(tuple(config for config, _ in trained), refinement=self.recipe.refinement)
         )
         for own, (_, network) in zip(cascade.stages, trained, strict=True):
             own.load_state_dict(network.state_dict())
@@ -158,8 +156,8 @@ class TrainingRun:
         network = evaluation_copy(trainer.network, trainer.average.state)
         errors = []
         for shape, vertices in zip(self.validation, starts, strict=True):
-            normals = predict_normals(shape.topology, vertices, config.stage, network, device=self.device)
-            errors.append(float(np.nanmean(_geom.normal_angles(normals, shape.normals))))
+            prediction = predict_normals(shape.topology, vertices, config.stage, network, device=self.device)
+            errors.append(float(np.nanmean(_geom.normal_angles(prediction.normals, shape.normals))))
         return float(np.mean(errors))
 
     def _log(self, **values: Any) -> None:
@@ -186,7 +184,10 @@ def load_clean_shapes(recipe: Recipe, shape_folder: Path, mesh_folder: Path | No
         for path in sorted(p for p in mesh_folder.rglob("*") if p.suffix in (".ply", ".obj", ".stl", ".off")):
             arrays, _ = to_arrays(load(path))
             kind = path.parent.name if path.parent.name in ("cad", "smooth", "feature") else "feature"
-            shapes.append(CleanShape(path.stem, kind, arrays.vertices, arrays.faces))
+            representatives, welded = _geom.weld(arrays.vertices)
+            shapes.append(
+                CleanShape(path.stem, kind, arrays.vertices[representatives], welded[arrays.faces])
+            )
     return shapes
 
 

@@ -80,13 +80,14 @@ def load_cascade(preset: str, device: torch.device | str = "cpu") -> Cascade:
         ConfigError: No such preset, or the device is not there.
         WeightsError: The file cannot be read, its hash or its layout does not match.
     """
-    path = Path(preset) if str(preset).endswith(".safetensors") else _FOLDER / f"{preset}.safetensors"
-    if path.parent == _FOLDER and preset not in _SHIPPED:
+    is_path = str(preset).endswith(".safetensors")
+    path = Path(preset) if is_path else _FOLDER / f"{preset}.safetensors"
+    if not is_path and preset not in _SHIPPED:
         raise ConfigError(
             f"unknown preset {preset!r}, allowed: {', '.join(_SHIPPED)} or the path of a .safetensors file",
             hint="`gcnd models` lists the presets",
         )
-    if path.parent == _FOLDER:
+    if not is_path:
         _check_hash(path, _load_card(preset)["sha256"])
     tensors, header = load_tensors(path)
     cascade = Cascade(_cascade_config(path, header))
@@ -115,7 +116,11 @@ def checked_device(device: torch.device | str) -> torch.device:
 
 
 def _load_card(name: str) -> dict[str, Any]:
-    card: dict[str, Any] = json.loads((_FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    path = _FOLDER / f"{name}.json"
+    try:
+        card: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise WeightsError(f"cannot read the model card {path}: {error}", hint="reinstall gcnd") from error
     return card
 
 
@@ -140,6 +145,8 @@ def load_config(header: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_hash(path: Path, expected: str) -> None:
+    if not path.is_file():
+        raise WeightsError(f"no such weights file: {path}", hint="reinstall gcnd")
     if hashlib.sha256(path.read_bytes()).hexdigest() != expected:
         raise WeightsError(
             f"{path} does not have the hash that its card states", hint="reinstall gcnd: the file is damaged"

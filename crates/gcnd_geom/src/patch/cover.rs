@@ -129,10 +129,25 @@ impl NormalAccumulator {
         Ok(pairs.map(|(sum, &fallback)| sum.try_normalize().unwrap_or(fallback)).collect())
     }
 
+    /// How far the predictions for each face disagree (F): √(2(1 − ‖Σ w n̂‖ / Σ w)), n̂ unit.
+    ///
+    /// The root of the weighted mean squared distance of the predictions from their mean direction, 0 to √2, about
+    /// an angle in radians; 0 for a face with fewer than two predictions.
+    pub fn spread(&self) -> Vec<f64> {
+        let pairs = self.sum.iter().zip(&self.weight);
+        pairs
+            .map(
+                |(sum, &weight)| {
+                    if weight > 0.0 { (2.0 * (1.0 - sum.length() / weight)).max(0.0).sqrt() } else { 0.0 }
+                },
+            )
+            .collect()
+    }
+
     fn add_one(&mut self, face_id: u32, weight: f64, normal: DVec3) {
         // A network's NaN must not spread to what other patches say of the face.
-        if normal.is_finite() && weight.is_finite() {
-            self.sum[face_id as usize] += weight * normal;
+        if let Some(unit) = normal.try_normalize().filter(|_| weight.is_finite()) {
+            self.sum[face_id as usize] += weight * unit;
             self.weight[face_id as usize] += weight;
         }
     }

@@ -49,11 +49,8 @@ fn try_collapse(mesh: &mut DynamicMesh, removed: u32, kept: u32, scratch: &mut [
         return false;
     }
     let both_smooth = mesh.is_smooth(removed) && mesh.is_smooth(kept);
-    let target = if both_smooth {
-        0.5 * (mesh.position(removed) + mesh.position(kept))
-    } else {
-        mesh.position(kept)
-    };
+    let target =
+        if both_smooth { 0.5 * (mesh.position(removed) + mesh.position(kept)) } else { mesh.position(kept) };
     let too_long = |v: u32, other: u32| {
         v != other && mesh.position(v).distance(target) > SPLIT_RATIO * mesh.wanted_length(v, other)
     };
@@ -80,7 +77,8 @@ fn features_allow(mesh: &DynamicMesh, removed: u32, kept: u32) -> bool {
         return true;
     }
     let Some(other) = links.iter().find(|link| link.to != kept) else { return false };
-    if links.len() != 2 || links.iter().any(|link| link.chain == LOCKED) || mesh.link(removed, kept).is_none() {
+    if links.len() != 2 || links.iter().any(|link| link.chain == LOCKED) || mesh.link(removed, kept).is_none()
+    {
         return false;
     }
     // The curve must not fold onto an edge that is there already.

@@ -34,12 +34,15 @@ pub(super) fn segments(mesh: &DynamicMesh) -> Vec<([DVec3; 2], u32)> {
 
 fn mark_edges(mesh: &mut DynamicMesh, feature_angle_deg: f64) {
     let min_cos = feature_angle_deg.clamp(0.0, 180.0).to_radians().cos();
-    let normals: Vec<DVec3> = (0..mesh.faces.len() as u32).map(|f| mesh.cross(f).normalize_or_zero()).collect();
+    let normals: Vec<DVec3> =
+        (0..mesh.faces.len() as u32).map(|f| mesh.cross(f).normalize_or_zero()).collect();
     for (a, b) in mesh.edges() {
         let (faces, count) = mesh.edge_faces(a, b);
         let chain = match count {
             1 => 0,
-            2 if !opposite_directions(mesh.faces[faces[0] as usize], mesh.faces[faces[1] as usize], a, b) => LOCKED,
+            2 if !opposite_directions(mesh.faces[faces[0] as usize], mesh.faces[faces[1] as usize], a, b) => {
+                LOCKED
+            }
             2 => {
                 let [n, m] = faces.map(|f| normals[f as usize]);
                 // A face without area says nothing about the angle; its other edges do.

@@ -85,6 +85,8 @@ fn valence_gain(mesh: &DynamicMesh, losing: [u32; 2], gaining: [u32; 2]) -> i64 
             n_faces - 6
         }
     };
-    let gain = |v: u32, step: i64| if mesh.fixed[v as usize] { 0 } else { excess(v).abs() - (excess(v) + step).abs() };
+    let gain = |v: u32, step: i64| {
+        if mesh.fixed[v as usize] { 0 } else { excess(v).abs() - (excess(v) + step).abs() }
+    };
     losing.iter().map(|&v| gain(v, -1)).sum::<i64>() + gaining.iter().map(|&v| gain(v, 1)).sum::<i64>()
 }

@@ -46,9 +46,7 @@ impl Surface {
 
     pub fn from_segments(segments: impl Iterator<Item = ([DVec3; 2], u32)>) -> Self {
         Self::build(
-            segments
-                .map(|([a, b], id)| Piece { corners: [a, b, b], normal: DVec3::ZERO, id })
-                .collect(),
+            segments.map(|([a, b], id)| Piece { corners: [a, b, b], normal: DVec3::ZERO, id }).collect(),
         )
     }
 
@@ -132,7 +130,11 @@ fn build_node(pieces: &mut [Piece], start: usize, end: usize, nodes: &mut Vec<No
 
 fn nearest_on_piece(point: DVec3, piece: &Piece) -> DVec3 {
     let [a, b, c] = piece.corners;
-    if piece.normal == DVec3::ZERO { nearest_on_segment(point, a, b) } else { nearest_on_triangle(point, a, b, c) }
+    if piece.normal == DVec3::ZERO {
+        nearest_on_segment(point, a, b)
+    } else {
+        nearest_on_triangle(point, a, b, c)
+    }
 }
 
 /// The nearest point of the segment `a`–`b`.

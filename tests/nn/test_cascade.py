@@ -1,0 +1,111 @@
+"""Configurations of stages and cascades: round trips, guards, and the order of passes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from nn_cases import SMALL_CENTRE, SMALL_NODES, random_patches, signed_scales
+
+from gcnd.errors import ConfigError
+from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, StageConfig
+
+PAPER_PATCH = PatchConfig(patch_scale=8.0, n_nodes=256, budget="random", vertex_offsets=False)
+
+CONFIG = CascadeConfig(
+    (
+        StageConfig(SMALL_CENTRE, PAPER_PATCH),
+        StageConfig(SMALL_NODES, PatchConfig(voting_region="two_ring", sigma_vote=0.4), 2, 0.2),
+    ),
+    normal_iterations=4,
+    vertex_iterations=9,
+)
+
+
+def test_config_survives_json() -> None:
+    as_read = json.loads(json.dumps(CONFIG.to_dict()))
+    assert CascadeConfig.from_dict(as_read) == CONFIG
+    assert StageConfig.from_dict(json.loads(json.dumps(CONFIG.stages[1].to_dict()))) == CONFIG.stages[1]
+
+
+@pytest.mark.parametrize(("offsets", "channels"), [(True, 17), (False, 8)])
+def test_patch_channels(offsets: bool, channels: int) -> None:
+    assert PatchConfig(vertex_offsets=offsets).n_channels == channels
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"patch": PatchConfig(vertex_offsets=False)}, "takes 17 channels, its patches have 8"),
+        ({"passes": 0}, "passes is 0"),
+        ({"patches_per_face": 0.0}, r"patches_per_face is 0\.0"),
+        ({"patches_per_face": 1.01}, r"patches_per_face is 1\.01"),
+        ({"patches_per_face": float("nan")}, "patches_per_face is nan"),
+        (
+            {"network": SMALL_CENTRE, "patch": PAPER_PATCH, "patches_per_face": 0.5},
+            "needs patches_per_face = 1",
+        ),
+    ],
+)
+def test_stage_guards(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        replace(StageConfig(SMALL_NODES), **changes)
+
+
+@pytest.mark.parametrize("field", ["network", "patch", "passes", "patches_per_face"])
+def test_a_stage_without_a_field_is_refused(field: str) -> None:
+    values = CONFIG.stages[0].to_dict()
+    del values[field]
+    with pytest.raises(ConfigError, match=field):
+        StageConfig.from_dict(values)
+
+
+@pytest.mark.parametrize("field", ["stages", "normal_iterations", "vertex_iterations"])
+def test_a_cascade_without_a_field_is_refused(field: str) -> None:
+    values = CONFIG.to_dict()
+    del values[field]
+    with pytest.raises(ConfigError, match=field):
+        CascadeConfig.from_dict(values)
+
+
+def test_unknown_and_misshapen_fields_are_refused() -> None:
+    values = CONFIG.to_dict()
+    with pytest.raises(ConfigError, match="colour"):
+        CascadeConfig.from_dict({**values, "stages": [{**values["stages"][0], "patch": {"colour": 1}}]})
+    with pytest.raises(ConfigError, match="cascade configuration does not fit"):
+        CascadeConfig.from_dict({**values, "normal_iterations": "many"})
+    with pytest.raises(ConfigError, match="cascade configuration does not fit"):
+        CascadeConfig.from_dict({**values, "stages": 3})
+
+
+def test_a_cascade_needs_a_stage() -> None:
+    with pytest.raises(ConfigError, match="at least one stage"):
+        Cascade(CascadeConfig(()))
+
+
+def test_passes_write_out_what_runs_more_than_once() -> None:
+    cascade = Cascade(CONFIG)
+    first, second = cascade.stages
+    assert [id(network) for _, network in cascade.passes()] == [id(first), id(second), id(second)]
+    assert [stage for stage, _ in cascade.passes()] == [CONFIG.stages[0], CONFIG.stages[1], CONFIG.stages[1]]
+
+
+def test_inference_form_answers_as_evaluation_mode_and_leaves_the_original() -> None:
+    torch.manual_seed(0)
+    cascade = Cascade(CONFIG).train()
+    signed_scales(cascade)
+    before = {name: tensor.clone() for name, tensor in cascade.state_dict().items()}
+    twin = cascade.for_inference()
+    assert twin.config == CONFIG
+    assert not any(module.training for module in twin.modules())
+    assert not any(parameter.requires_grad for parameter in twin.parameters())
+    assert not any(isinstance(module, torch.nn.BatchNorm1d) for module in twin.modules())
+    assert cascade.training
+    assert all(torch.equal(tensor, before[name]) for name, tensor in cascade.state_dict().items())
+    cascade.eval()
+    for stage, own, folded in zip(CONFIG.stages, cascade.stages, twin.stages, strict=True):
+        inputs = random_patches(stage.network)
+        assert (folded(*inputs) - own(*inputs)).abs().max() < 1e-4

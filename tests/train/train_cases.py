@@ -1,0 +1,53 @@
+"""Small shapes and a small stage that the tests of `gcnd.train` share."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from gcnd import _geom
+from gcnd.data.shapes import Shape
+from gcnd.nn.cascade import PatchConfig, StageConfig
+from gcnd.nn.networks import NetworkConfig
+from gcnd.train.loop import TrainConfig
+from gcnd.train.samples import ChunkConfig, CleanShape
+
+NETWORK = NetworkConfig("nodes", 17, (8,), (8, 12), 16, (12, 8), 4, "node")
+
+STAGE = StageConfig(NETWORK, PatchConfig(n_nodes=32), passes=1, patches_per_face=0.3)
+
+CHUNK = ChunkConfig(n_meshes=2, n_patches=16)
+
+TRAIN = TrainConfig(STAGE, steps=6, batch=8, warmup=2, chunk=CHUNK, ema_decay=0.9, seed=3)
+"""Two batches a chunk, so that step 3 starts in the middle of one."""
+
+
+def sphere() -> Shape:
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    return Shape("sphere", "smooth", np.array(mesh.vertices) / 2, mesh.faces.astype(np.uint32))
+
+
+def cube(n: int = 6) -> Shape:
+    """Faces cut into n × n squares, 12 n² triangles, one edge of the squares long in each."""
+    mesh = trimesh.creation.box()
+    vertices, faces = np.array(mesh.vertices), mesh.faces
+    weights = [(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]
+    index = {w: k for k, w in enumerate(weights)}
+    pieces = []
+    for i, j, k in weights:
+        if k > 0:
+            pieces.append([index[i + 1, j, k - 1], index[i, j + 1, k - 1], index[i, j, k]])
+        if k > 1:
+            pieces.append([index[i + 1, j, k - 1], index[i + 1, j + 1, k - 2], index[i, j + 1, k - 1]])
+    # The box has corners at ±1/2, and n is a power of two or the weights are exact all the same: sums of whole
+    # numbers over n, rounded once, so that neighbouring triangles agree to the bit.
+    points = np.array(weights) @ vertices[faces] / n
+    corners = (np.array(pieces)[None] + len(weights) * np.arange(len(faces))[:, None, None]).reshape(-1, 3)
+    representatives, welded = _geom.weld(np.ascontiguousarray(points.reshape(-1, 3)))
+    clean: NDArray[np.float64] = points.reshape(-1, 3)[representatives]
+    return Shape("cube", "cad", clean, np.ascontiguousarray(welded[corners]))
+
+
+def clean(shape: Shape) -> CleanShape:
+    return CleanShape(shape.name, shape.kind, shape.vertices, shape.faces)
