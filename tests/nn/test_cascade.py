@@ -11,7 +11,7 @@ import torch
 from nn_cases import SMALL_CENTRE, SMALL_NODES, random_patches, signed_scales
 
 from gcnd.errors import ConfigError
-from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, StageConfig
+from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, RefinementConfig, StageConfig
 
 PAPER_PATCH = PatchConfig(patch_scale=8.0, n_nodes=256, budget="random", vertex_offsets=False)
 
@@ -20,7 +20,7 @@ CONFIG = CascadeConfig(
         StageConfig(SMALL_CENTRE, PAPER_PATCH),
         StageConfig(SMALL_NODES, PatchConfig(voting_region="two_ring", sigma_vote=0.4), 2, 0.2),
     ),
-    normal_iterations=4,
+    RefinementConfig(4, 0.15, 1.5),
     vertex_iterations=9,
 )
 
@@ -63,7 +63,7 @@ def test_a_stage_without_a_field_is_refused(field: str) -> None:
         StageConfig.from_dict(values)
 
 
-@pytest.mark.parametrize("field", ["stages", "normal_iterations", "vertex_iterations"])
+@pytest.mark.parametrize("field", ["stages", "refinement", "vertex_iterations"])
 def test_a_cascade_without_a_field_is_refused(field: str) -> None:
     values = CONFIG.to_dict()
     del values[field]
@@ -76,9 +76,11 @@ def test_unknown_and_misshapen_fields_are_refused() -> None:
     with pytest.raises(ConfigError, match="colour"):
         CascadeConfig.from_dict({**values, "stages": [{**values["stages"][0], "patch": {"colour": 1}}]})
     with pytest.raises(ConfigError, match="cascade configuration does not fit"):
-        CascadeConfig.from_dict({**values, "normal_iterations": "many"})
+        CascadeConfig.from_dict({**values, "vertex_iterations": "many"})
     with pytest.raises(ConfigError, match="cascade configuration does not fit"):
         CascadeConfig.from_dict({**values, "stages": 3})
+    with pytest.raises(ConfigError, match="strength"):
+        CascadeConfig.from_dict({**values, "refinement": {"strength": 2}})
 
 
 def test_a_cascade_needs_a_stage() -> None:

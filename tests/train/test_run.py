@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from gcnd.data.shapes import Shape
 from gcnd.denoise import denoise
 from gcnd.errors import ConfigError
 from gcnd.mesh_io import save
+from gcnd.nn.cascade import RefinementConfig
 from gcnd.train import run as run_module
 from gcnd.train.loop import StepReport
 from gcnd.train.recipes import RECIPES, Recipe, get_recipe
@@ -35,7 +35,7 @@ RECIPE = replace(
     ),
     n_shapes=2,
     pool_size=2,
-    normal_iterations=3,
+    refinement=RefinementConfig(iterations=3, sigma_r=0.2, tolerance=1.1),
 )
 
 
@@ -43,16 +43,19 @@ class KilledError(Exception):
     """Stands for the end of the process."""
 
 
-@pytest.fixture(autouse=True)
-def small_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
+def use_small_shapes(patched: pytest.MonkeyPatch) -> None:
     """Two small shapes in place of the procedural ones, and a checkpoint after every step."""
 
     def load_shapes(n: int, seed: int, directory: Path) -> list[Shape]:
-        shapes = [sphere(), cube()]
-        return shapes[: 1 if seed == run_module.VALIDATION_SEED else n]
+        return [sphere(), cube(4)][: 1 if seed == run_module.VALIDATION_SEED else n]
 
-    monkeypatch.setattr(run_module, "load_shapes", load_shapes)
-    monkeypatch.setattr(run_module, "CHECKPOINT_SECONDS", -1.0)
+    patched.setattr(run_module, "load_shapes", load_shapes)
+    patched.setattr(run_module, "CHECKPOINT_SECONDS", -1.0)
+
+
+@pytest.fixture(autouse=True)
+def small_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_small_shapes(monkeypatch)
 
 
 def run(folder: Path, recipe: Recipe = RECIPE, kill_at: tuple[int, int] | None = None, **options: Any) -> Path:
@@ -70,8 +73,7 @@ def straight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run that nothing disturbed."""
     folder = tmp_path_factory.mktemp("straight")
     with pytest.MonkeyPatch.context() as patched:
-        small_shapes.__wrapped__(patched) if hasattr(small_shapes, "__wrapped__") else None
-        patched.setattr(run_module, "load_shapes", lambda n, seed, directory: [sphere(), cube()][:n])
+        use_small_shapes(patched)
         run(folder)
     return folder
 
@@ -85,3 +87,138 @@ def assert_same_weights(found: Path, expected: Path) -> None:
     assert header == wanted_header
     assert tensors.keys() == wanted.keys()
     assert all(torch.equal(tensors[name], tensor) for name, tensor in wanted.items())
+
+
+def test_a_run_ends_with_weights_that_denoise(straight: Path) -> None:
+    path = straight / "tiny.safetensors"
+    cascade = load_cascade(str(path))
+    assert [stage for stage, _ in cascade.passes()] == [
+        RECIPE.stages[0].stage,
+        RECIPE.stages[1].stage,
+        RECIPE.stages[1].stage,
+    ]
+    assert cascade.config.refinement == RECIPE.refinement
+    assert cascade.config.vertex_iterations == 15
+    assert load_tensors(path)[1]["recipe"] == "tiny"
+    shape = sphere()
+    noisy = add_noise(shape.vertices, shape.faces, level=0.3, seed=5)
+    vertices, faces = denoise((noisy, shape.faces), preset=str(path))
+    assert np.array_equal(faces, shape.faces)
+
+    def roughness(v: np.ndarray) -> float:
+        return float(np.std(np.linalg.norm(v, axis=1)))
+
+    assert roughness(vertices) < 0.7 * roughness(noisy)
+
+
+def test_the_weights_are_the_averages_of_each_stage(straight: Path) -> None:
+    cascade = load_tensors(straight / "tiny.safetensors")[0]
+    for number, name in enumerate(("stage1", "stage2")):
+        stage = load_tensors(straight / f"{name}.safetensors")[0]
+        checkpoint = load_tensors(straight / f"{name}.checkpoint.safetensors")[0]
+        for key, tensor in stage.items():
+            assert torch.equal(tensor, checkpoint[f"average.{key}"])
+            assert torch.equal(tensor, cascade[f"stages.{number}.{key}"])
+    assert any(not torch.equal(cascade[f"stages.0.{key}"], cascade[f"stages.1.{key}"]) for key in stage)
+
+
+def test_the_log_says_how_it_went(straight: Path) -> None:
+    lines = logged(straight)
+    assert [(line["stage"], line["step"]) for line in lines] == [(1, 2), (1, 4), (1, 5), (2, 2), (2, 4)]
+    assert all(0 < line["loss"] < 2 and 0 < line["validation_e_a"] < 90 for line in lines)
+    assert all(line["patches_per_second"] > 0 for line in lines)
+
+
+@pytest.mark.parametrize("kill_at", [(0, 1), (0, 4), (1, 1), (1, 3)])
+def test_killed_anywhere_it_goes_on_to_the_same_weights(
+    straight: Path, tmp_path: Path, kill_at: tuple[int, int]
+) -> None:
+    with pytest.raises(KilledError):
+        run(tmp_path, kill_at=kill_at)
+    assert not (tmp_path / "tiny.safetensors").exists()
+    said: list[str] = []
+    assert run(tmp_path, on_event=said.append) == tmp_path / "tiny.safetensors"
+    stage, step = kill_at
+    resumed = [line for line in said if "resumed" in line]
+    assert resumed == ([f"stage {stage + 1}: resumed at step {step - 1}"] if step > 1 else [])
+    assert_same_weights(tmp_path / "tiny.safetensors", straight / "tiny.safetensors")
+
+
+def test_killed_between_stage_and_cascade_nothing_is_trained_again(straight: Path, tmp_path: Path) -> None:
+    with pytest.raises(KilledError):
+        run(tmp_path, kill_at=(1, 4))
+    run(tmp_path)
+    for name in ("tiny.safetensors", "stage2.safetensors"):
+        (tmp_path / name).unlink()
+    steps: list[int] = []
+    TrainingRun(tmp_path, RECIPE, on_step=lambda stage, report: steps.append(report.step)).run()
+    assert steps == []
+    assert_same_weights(tmp_path / "tiny.safetensors", straight / "tiny.safetensors")
+
+
+def test_a_second_stage_starts_from_the_first_where_layouts_agree(tmp_path: Path) -> None:
+    def first_steps(folder: Path, recipe: Recipe) -> dict[str, torch.Tensor]:
+        with pytest.raises(KilledError):
+            run(folder, recipe, kill_at=(1, 2))
+        return load_tensors(folder / "stage2.checkpoint.safetensors")[0]
+
+    frozen = replace(RECIPE, stages=(RECIPE.stages[0], replace(RECIPE.stages[1], lr=0.0)))
+    cold = replace(frozen, warm_start=False)
+    stage1 = None
+    for name, recipe, as_before in (("warm", frozen, True), ("cold", cold, False)):
+        checkpoint = first_steps(tmp_path / name, recipe)
+        stage1 = load_tensors(tmp_path / name / "stage1.safetensors")[0]
+        weights = [key for key in stage1 if key.endswith("weight") and "norm" not in key]
+        same = all(torch.equal(checkpoint[f"network.{key}"], stage1[key]) for key in weights)
+        assert same == as_before
+
+
+# --- what a run is made of -----------------------------------------------------------------------------
+
+
+def test_meshes_of_a_folder_are_added_by_kind(tmp_path: Path) -> None:
+    for folder in ("cad", "smooth", "other"):
+        (tmp_path / folder).mkdir()
+    box = trimesh.creation.box()
+    save(box, tmp_path / "cad" / "b.ply")
+    save(box, tmp_path / "smooth" / "a.obj")
+    save(box, tmp_path / "other" / "c.off")
+    (tmp_path / "cad" / "notes.txt").write_text("no mesh", encoding="utf-8")
+    shapes = load_clean_shapes(RECIPE, tmp_path, tmp_path)
+    assert [(s.name, s.kind) for s in shapes] == [
+        ("sphere", "smooth"),
+        ("cube", "cad"),
+        ("b", "cad"),
+        ("c", "feature"),
+        ("a", "smooth"),
+    ]
+    assert np.array_equal(shapes[2].vertices, box.vertices)
+
+
+def test_adapted_scales_the_steps_and_sets_the_precision(monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = get_recipe("default")
+    scaled = adapted(recipe, scale=0.5, precision="bfloat16")
+    assert [s.steps for s in scaled.stages] == [round(s.steps * 0.5) for s in recipe.stages]
+    assert {s.precision for s in scaled.stages} == {"bfloat16"}
+    assert [s.steps for s in adapted(recipe, scale=1e-9).stages] == [1] * len(recipe.stages)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    for fast, precision in ((True, "bfloat16"), (False, "float32")):
+        monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda fast=fast: fast)
+        assert {s.precision for s in adapted(recipe).stages} == {precision}
+        assert {s.precision for s in adapted(get_recipe("paper")).stages} == {"float32"}
+    with pytest.raises(ConfigError, match="precision is 'half'"):
+        adapted(recipe, precision="half")
+
+
+def test_recipes() -> None:
+    assert {name: recipe.name for name, recipe in RECIPES.items()} == {"default": "default", "paper": "paper"}
+    with pytest.raises(ConfigError, match="unknown training preset 'papers', allowed: default, paper"):
+        get_recipe("papers")
+    for recipe in RECIPES.values():
+        for stage in recipe.stages:
+            assert stage.chunk.n_patches % stage.batch == 0
+            assert stage.chunk.n_patches % stage.chunk.n_meshes == 0
+    paper = get_recipe("paper")
+    assert not paper.warm_start
+    assert {(s.batch, s.lr, s.loss, s.chunk.balance_ratio) for s in paper.stages} == {(128, 1e-4, "mse", 1.5)}
+    assert {s.stage.patch.budget for s in paper.stages} == {"random"}

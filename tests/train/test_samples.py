@@ -147,7 +147,7 @@ def test_turning_is_seeded_and_turning_twice_is_nothing(both: FreshNoise) -> Non
 
 def test_three_feature_faces_to_every_two_others() -> None:
     shape = clean(cube(12))
-    assert 200 < len(shape.feature_faces) < len(shape.flat_faces)
+    assert min(len(shape.feature_faces), len(shape.flat_faces)) > 400
     assert not set(shape.feature_faces) & set(shape.flat_faces)
     assert len(shape.feature_faces) + len(shape.flat_faces) == len(shape.faces)
     picked = pick_faces(shape, 1000, 1.5, np.random.default_rng(0))
@@ -165,8 +165,8 @@ def test_feature_faces_of_a_cube_lie_at_its_edges() -> None:
 
 
 def test_few_feature_faces_are_picked_five_times_each() -> None:
-    shape = clean(cube())
-    shape.feature_faces, shape.flat_faces = shape.feature_faces[:10], shape.flat_faces
+    shape = clean(cube(12))
+    shape.feature_faces = shape.feature_faces[:10]
     picked = pick_faces(shape, 1000, 1.5, np.random.default_rng(0))
     assert np.isin(picked, shape.feature_faces).sum() == 50
     assert len(picked) == 1000

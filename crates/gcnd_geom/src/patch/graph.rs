@@ -32,34 +32,25 @@ pub(crate) struct PatchView<'a> {
     pub(crate) world_from_patch: DMat3,
 }
 
-/// Positions of the three vertices of each node, a buffer that keeps its capacity.
-pub(crate) type Corners = Vec<[DVec3; 3]>;
-
 /// Writes features, neighbours, face ids and mask of every node, repeats included.
 ///
 /// `node_of_face` must hold the faces of the patch; their slots are set here.
-pub(crate) fn write_graph(
-    view: &PatchView<'_>,
-    node_of_face: &mut IdSlots,
-    corners: &mut Corners,
-    row: PatchRow<'_>,
-) {
+pub(crate) fn write_graph(view: &PatchView<'_>, node_of_face: &mut IdSlots, row: PatchRow<'_>) {
     let (n_real, n_channels) = (view.n_real, row.features.len() / view.picks.len());
     for (node, &pick) in view.picks[..n_real].iter().enumerate() {
         let face_id = view.candidates[pick as usize].face_id;
         node_of_face.set_slot(face_id, node as u32);
         row.face_ids[node] = face_id;
     }
-    let nodes = row.features.chunks_exact_mut(n_channels).zip(view.picks).take(n_real);
-    for (features, &pick) in nodes {
-        write_face_features(&view.world_from_patch, &view.locals[pick as usize], features);
-    }
-    write_neighbors(view, node_of_face, n_channels, &mut *row.features, &mut *row.neighbors, &*row.face_ids);
-    if n_channels == 17 {
-        gather_corners(view, &row.face_ids[..n_real], corners);
-        for (node, features) in row.features.chunks_exact_mut(n_channels).take(n_real).enumerate() {
-            write_vertex_offsets(view, row.face_ids[node], corners[node], &mut features[8..]);
-        }
+    for node in 0..n_real {
+        let features = &mut row.features[node * n_channels..(node + 1) * n_channels];
+        write_features(view, row.face_ids[node], &view.locals[view.picks[node] as usize], features);
+        let neighbors = &mut row.neighbors[node * 3..node * 3 + 3];
+        neighbors.fill(node as i32);
+        let adjacent = view.topology.edge_neighbors(row.face_ids[node] as usize);
+        let slots = adjacent.iter().map(|&face_id| node_of_face.slot(face_id));
+        let present = slots.filter(|&slot| slot != NO_SLOT);
+        neighbors.iter_mut().zip(present).for_each(|(neighbor, slot)| *neighbor = slot as i32);
     }
     // A sliver's feature beyond the range of f32 becomes the largest finite number.
     for feature in &mut row.features[..n_real * n_channels] {
@@ -75,55 +66,18 @@ pub(crate) fn write_graph(
     row.mask[n_real..].fill(0);
 }
 
-/// Channels 0–6: centroid, normal, area.
+/// Channels: centroid (3), normal (3), area (1), degree (1), and three vertex offsets (9) where there is room.
 #[inline]
-fn write_face_features(world_from_patch: &DMat3, local: &LocalFace, features: &mut [f32]) {
-    write_rotated(world_from_patch, local.offset, &mut features[0..3]);
-    write_rotated(world_from_patch, local.normal, &mut features[3..6]);
+fn write_features(view: &PatchView<'_>, face_id: u32, local: &LocalFace, features: &mut [f32]) {
+    let axes = &view.world_from_patch;
+    write_rotated(axes, local.offset, &mut features[0..3]);
+    write_rotated(axes, local.normal, &mut features[3..6]);
     features[6] = local.area as f32;
-}
-
-/// Channel 7, the degree, and the static neighbours of the real nodes.
-fn write_neighbors(
-    view: &PatchView<'_>,
-    node_of_face: &IdSlots,
-    n_channels: usize,
-    features: &mut [f32],
-    neighbors: &mut [i32],
-    face_ids: &[u32],
-) {
-    for node in 0..view.n_real {
-        let adjacent = view.topology.edge_neighbors(face_ids[node] as usize);
-        features[node * n_channels + 7] = adjacent.len() as f32 / 3.0;
-        let neighbors = &mut neighbors[node * 3..node * 3 + 3];
-        neighbors.fill(node as i32);
-        let slots = adjacent.iter().map(|&face_id| node_of_face.slot(face_id));
-        let present = slots.filter(|&slot| slot != NO_SLOT);
-        neighbors.iter_mut().zip(present).for_each(|(neighbor, slot)| *neighbor = slot as i32);
-    }
-}
-
-fn gather_corners(view: &PatchView<'_>, face_ids: &[u32], corners: &mut Corners) {
-    let (faces, vertices) = (view.topology.faces(), view.vertices);
-    corners.clear();
-    corners.extend(face_ids.iter().map(|&face_id| faces[face_id as usize].map(|v| vertices[v as usize])));
-}
-
-/// Channels 8–16: (v − c_j) / r of the three vertices in the face's own order, started at the vertex nearest
-/// to the patch centre, so that it does not matter which vertex the file names first.
-#[inline]
-fn write_vertex_offsets(view: &PatchView<'_>, face_id: u32, [u, v, w]: [DVec3; 3], features: &mut [f32]) {
-    let centroid = view.centroids[face_id as usize];
-    let [to_u, to_v, to_w] = [u, v, w].map(|corner| corner.distance_squared(view.center));
-    let corners = if to_u <= to_v && to_u <= to_w {
-        [u, v, w]
-    } else if to_v <= to_w {
-        [v, w, u]
-    } else {
-        [w, u, v]
-    };
-    for (corner, out) in corners.into_iter().zip(features.chunks_exact_mut(3)) {
-        write_rotated(&view.world_from_patch, (corner - centroid) * view.length_scale, out);
+    features[7] = view.topology.edge_neighbors(face_id as usize).len() as f32 / 3.0;
+    if let Some(offsets) = features.get_mut(8..17) {
+        for (offset, out) in vertex_offsets(view, face_id).into_iter().zip(offsets.chunks_exact_mut(3)) {
+            write_rotated(axes, offset, out);
+        }
     }
 }
 
@@ -133,4 +87,22 @@ fn write_rotated(world_from_patch: &DMat3, v: DVec3, out: &mut [f32]) {
     out[0] = v.dot(world_from_patch.x_axis) as f32;
     out[1] = v.dot(world_from_patch.y_axis) as f32;
     out[2] = v.dot(world_from_patch.z_axis) as f32;
+}
+
+/// (v − c_j) / r of the three vertices in the face's own order, started at the vertex nearest to the patch
+/// centre, so that it does not matter which vertex the file names first.
+#[inline]
+fn vertex_offsets(view: &PatchView<'_>, face_id: u32) -> [DVec3; 3] {
+    let [u, v, w] =
+        view.topology.faces()[face_id as usize].map(|vertex_id| view.vertices[vertex_id as usize]);
+    let centroid = view.centroids[face_id as usize];
+    let [to_u, to_v, to_w] = [u, v, w].map(|corner| corner.distance_squared(view.center));
+    let corners = if to_u <= to_v && to_u <= to_w {
+        [u, v, w]
+    } else if to_v <= to_w {
+        [v, w, u]
+    } else {
+        [w, u, v]
+    };
+    corners.map(|corner| (corner - centroid) * view.length_scale)
 }

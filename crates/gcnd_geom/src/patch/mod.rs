@@ -31,7 +31,7 @@ use crate::face_geometry::FaceGeometry;
 use crate::mesh::check_vertices;
 use crate::topology::Topology;
 use glam::{DMat3, DVec3};
-use graph::{Corners, PatchRow, PatchView, write_graph};
+use graph::{PatchRow, PatchView, write_graph};
 use rayon::prelude::*;
 use select::{PatchScale, SelectScratch, VertexTree};
 use symmetric_eigen::Symmetric3;
@@ -94,12 +94,11 @@ struct PatchScratch {
     select: SelectScratch,
     locals: Vec<LocalFace>,
     picks: Vec<u32>,
-    corners: Corners,
 }
 
 impl PatchScratch {
     fn new() -> Self {
-        Self { select: SelectScratch::new(), locals: Vec::new(), picks: Vec::new(), corners: Vec::new() }
+        Self { select: SelectScratch::new(), locals: Vec::new(), picks: Vec::new() }
     }
 }
 
@@ -199,7 +198,7 @@ impl<'a> PatchExtractor<'a> {
         let scale = self.select_into(face_id, scratch);
         let (tensor, _) = self.voting_tensor(&scale, scratch);
         let world_from_patch = voting::patch_frame(&tensor, scale.area_normal, &scratch.locals);
-        let PatchScratch { select, locals, picks, corners } = scratch;
+        let PatchScratch { select, locals, picks } = scratch;
         let n_real = budget::fix_to_budget(
             select.candidates.len(),
             self.params.n_nodes,
@@ -219,7 +218,7 @@ impl<'a> PatchExtractor<'a> {
             length_scale: scale.length_scale(),
             world_from_patch,
         };
-        write_graph(&view, &mut select.seen_faces, corners, row);
+        write_graph(&view, &mut select.seen_faces, row);
         (world_from_patch, scale.radius.unwrap_or(1.0))
     }
 

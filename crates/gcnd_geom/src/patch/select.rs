@@ -27,23 +27,22 @@ impl VertexTree {
         Self(ImmutableKdTree::new_from_entries(&entries).expect("a checked mesh has finite vertices"))
     }
 
-    /// Collects every vertex strictly closer to `center` than `radius`, in an order that depends on the tree
-    /// alone.
+    /// Calls `visit` with every vertex strictly closer to `center` than `radius`, in an order that depends on
+    /// the tree alone.
     #[inline]
-    fn collect_within(
+    fn visit_within(
         &self,
         center: DVec3,
         radius: f64,
         vertices: &[DVec3],
         scratch: &mut QueryScratch<Eytzinger, f64, 3>,
-        found: &mut Vec<u32>,
+        mut visit: impl FnMut(u32),
     ) {
         // The tree's own test is inclusive and may round otherwise than Eq. 1 does here, so it gets a slightly
         // larger ball, and where its answer is close Eq. 1 decides.
         const SLACK: f64 = 1e-9;
         let squared = radius * radius;
         let certain = squared * (1.0 - SLACK);
-        found.clear();
         self.0
             .query(&center.to_array())
             .within::<SquaredEuclidean<f64>>(squared * (1.0 + SLACK))
@@ -52,7 +51,7 @@ impl VertexTree {
             .visit(|near| {
                 let is_inside = || vertices[near.item as usize].distance_squared(center) < squared;
                 if near.distance < certain || is_inside() {
-                    found.push(near.item);
+                    visit(near.item);
                 }
             });
     }
@@ -72,8 +71,6 @@ pub(crate) struct SelectScratch {
     /// The faces of the last patch; node numbers are entered here as slots.
     pub(crate) seen_faces: IdSlots,
     query: QueryScratch<Eytzinger, f64, 3>,
-    near_vertices: Vec<u32>,
-    near_faces: Vec<u32>,
     /// The centre and its 2-ring, the centre first.
     pub(crate) two_ring: Vec<u32>,
     /// The patch: the centre, then the others by (distance of centroids, face id).
@@ -86,8 +83,6 @@ impl SelectScratch {
             seen_vertices: IdSlots::new(),
             seen_faces: IdSlots::new(),
             query: QueryScratch::new(),
-            near_vertices: Vec::new(),
-            near_faces: Vec::new(),
             two_ring: Vec::new(),
             candidates: Vec::new(),
         }
@@ -169,25 +164,25 @@ pub(crate) fn select_patch(
     radius: Option<f64>,
     scratch: &mut SelectScratch,
 ) {
-    let SelectScratch { seen_faces, query, near_vertices, near_faces, candidates, .. } = scratch;
+    let SelectScratch { seen_faces, query, candidates, .. } = scratch;
     let center = geometry.centroids[face_id as usize];
     let stars = topology.vertex_faces();
     seen_faces.clear();
-    near_faces.clear();
     candidates.clear();
     seen_faces.insert(face_id);
     candidates.push(Candidate { squared_distance_bits: 0, face_id });
     let Some(radius) = radius else { return };
-    // One short loop per kind of memory, here and in the graph: their cache misses then overlap.
-    tree.collect_within(center, radius, vertices, query, near_vertices);
-    for &vertex_id in near_vertices.iter() {
-        let star = stars.row(vertex_id as usize);
-        near_faces.extend(star.iter().filter(|&&near_face| seen_faces.insert(near_face)));
-    }
-    candidates.extend(near_faces.iter().map(|&face_id| Candidate {
-        squared_distance_bits: geometry.centroids[face_id as usize].distance_squared(center).to_bits(),
-        face_id,
-    }));
+    tree.visit_within(center, radius, vertices, query, |vertex_id| {
+        for &near_face in stars.row(vertex_id as usize) {
+            if seen_faces.insert(near_face) {
+                let squared_distance = geometry.centroids[near_face as usize].distance_squared(center);
+                candidates.push(Candidate {
+                    squared_distance_bits: squared_distance.to_bits(),
+                    face_id: near_face,
+                });
+            }
+        }
+    });
     // The tree's order is an accident of its construction; this one is not, so sums over a patch are
     // reproducible.
     candidates[1..].sort_unstable();

@@ -1,0 +1,77 @@
+"""E_a after different refinements of the last stage's normals, on the shapes that training validates on.
+
+    python benches/refinement.py --preset default
+
+The shipped refinement was chosen on this table, so the table says nothing about how accurate the weights are;
+benches/accuracy.py does, on other shapes.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from gcnd import _geom
+from gcnd.data.shape_cache import load_shapes
+from gcnd.nn.cascade import RefinementConfig
+from gcnd.predict import Prediction, predict_normals, refined
+from gcnd.train.run import N_VALIDATION_SHAPES, VALIDATION_SEED
+from gcnd.train.samples import CleanShape
+from gcnd.weights import load_cascade
+
+LEVELS = (0.1, 0.3)
+NOISE_SEED = 3
+
+REFINEMENTS = {
+    "none": RefinementConfig(0),
+    "m 1": RefinementConfig(1, 0.3),
+    "m 4": RefinementConfig(4, 0.3),
+    "m 12": RefinementConfig(12, 0.3),
+    "m 12, σ_r 0.15": RefinementConfig(12, 0.15),
+    **{f"m 12, σ_r 0.15, k {k}": RefinementConfig(12, 0.15, k) for k in (0.7, 1.0, 1.5, 2.0, 3.0)},
+    **{f"m 12, σ_r 0.3, k {k}": RefinementConfig(12, 0.3, k) for k in (0.7, 1.0, 1.5, 2.0, 3.0)},
+}
+
+
+def last_prediction(
+    shape: CleanShape, vertices: np.ndarray, preset: str
+) -> tuple[np.ndarray, Prediction, int]:
+    """Positions before the last vertex update, the last stage's prediction, and the vertex iterations."""
+    cascade = load_cascade(preset)
+    passes = cascade.passes()
+    for index, (stage, network) in enumerate(passes):
+        prediction = predict_normals(shape.topology, vertices, stage, network, seed=index)
+        if index < len(passes) - 1:
+            iterations = cascade.config.vertex_iterations
+            vertices = _geom.update_vertices(shape.topology, vertices, prediction.normals, iterations)
+    return vertices, prediction, cascade.config.vertex_iterations
+
+
+def main() -> None:
+    """Prints E_a by kind for every refinement."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--preset", default="default")
+    parser.add_argument("--shapes", type=Path, default=Path("runs/shapes"))
+    options = parser.parse_args()
+    errors: dict[str, dict[str, list[float]]] = {name: {} for name in REFINEMENTS}
+    for drawn in load_shapes(N_VALIDATION_SHAPES, VALIDATION_SEED, options.shapes):
+        shape = CleanShape(drawn.name, drawn.kind, drawn.vertices, drawn.faces)
+        for level in LEVELS:
+            noisy = shape.noise.sample(level=level, seed=NOISE_SEED)
+            vertices, prediction, iterations = last_prediction(shape, noisy, options.preset)
+            for name, refinement in REFINEMENTS.items():
+                normals = refined(shape.topology, vertices, prediction, refinement)
+                moved = _geom.update_vertices(shape.topology, vertices, normals, iterations)
+                angles = _geom.normal_angles(_geom.face_geometry(moved, shape.faces)[0], shape.normals)
+                errors[name].setdefault(shape.kind, []).append(float(np.nanmean(angles)))
+    kinds = sorted(next(iter(errors.values())))
+    print("| refinement | " + " | ".join(kinds) + " |")
+    print("|---|" + "---|" * len(kinds))
+    for name, by_kind in errors.items():
+        print(f"| {name} | " + " | ".join(f"{np.mean(by_kind[kind]):.2f}" for kind in kinds) + " |")
+
+
+if __name__ == "__main__":
+    main()
