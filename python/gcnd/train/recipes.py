@@ -77,7 +77,7 @@ def _paper(steps: int, later_steps: int) -> Recipe:
 
 
 RECIPES = {
-    "default": _default(8_500, 4_500),
+    "default": _default(8_500, 6_000),
     "paper": _paper(450_000, 300_000),
 }
 """By name. The paper's own numbers of steps are 24 and 16 epochs of 2.4 M patches in batches of 128."""
