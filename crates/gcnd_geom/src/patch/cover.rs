@@ -57,7 +57,7 @@ impl NormalAccumulator {
     ///
     /// `face_ids` (P, N) and `mask` (P, N; 0 = ignore), `features` (P, N, `n_channels`) with the centroid in
     /// channels 0–2 and `world_from_patch` (P, 3, 3) as [`super::PatchExtractor::extract`] wrote them;
-    /// `predicted` (P, N, 3) in the patch frame, of any length.
+    /// `predicted` (P, N, 3) in the patch frame, each scaled to unit length here, zero or NaN ignored.
     ///
     /// # Errors
     /// [`GeomError::LengthMismatch`] naming the array, [`GeomError::InvalidParameter`] for a face id that does
@@ -195,13 +195,19 @@ mod tests {
         ];
         let predicted = [1., 0., 0., 1., 0., 0., 0., 0., 3., 5., 5., 5.];
         accumulator.add(&[0, 1, 1, 2], &[1, 1, 1, 0], &predicted, &features, 4, &frames).expect("valid");
-        // Face 0: CYCLE · x = y. Face 1: exp(−2 · 0.5) y + 3 z. Face 2: masked. Face 3: never seen.
+        // Face 0: CYCLE · x = y. Face 1: exp(−2 · 0.5) y + z, the 3 z scaled to unit length. Face 2: masked.
+        // Face 3: never seen.
         let normals = accumulator.normals(&[DVec3::X; 4]).expect("valid");
-        let expected = DVec3::new(0.0, (-1.0f64).exp(), 3.0).normalize();
+        let weight = (-1.0f64).exp();
+        let expected = DVec3::new(0.0, weight, 1.0).normalize();
         assert_eq!(normals[0], DVec3::Y);
         assert!((normals[1] - expected).length() < 1e-15);
         assert_eq!(normals[2..], [DVec3::X; 2]);
         assert_eq!(accumulator.uncovered(), [2, 3]);
+        let spread = accumulator.spread();
+        let agreement = (1.0 + weight * weight).sqrt() / (1.0 + weight);
+        assert!((spread[1] - (2.0 * (1.0 - agreement)).sqrt()).abs() < 1e-15);
+        assert_eq!([spread[0], spread[2], spread[3]], [0.0; 3]);
     }
 
     #[test]

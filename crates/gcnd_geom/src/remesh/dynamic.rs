@@ -59,10 +59,6 @@ impl DynamicMesh {
         }
     }
 
-    pub fn is_alive(&self, face_id: u32) -> bool {
-        self.faces[face_id as usize] != DEAD
-    }
-
     pub fn position(&self, vertex_id: u32) -> DVec3 {
         self.positions[vertex_id as usize]
     }
@@ -92,7 +88,7 @@ impl DynamicMesh {
         (b - a).cross(c - a)
     }
 
-    /// The faces that hold both vertices, at most `out.len()` of them, and how many there are.
+    /// The first two faces that hold both vertices, and how many there are.
     pub fn edge_faces(&self, a: u32, b: u32) -> ([u32; 2], usize) {
         let mut found = [0; 2];
         let mut count = 0;
@@ -125,7 +121,7 @@ impl DynamicMesh {
         }
     }
 
-    /// How many edges meet at `v`: its faces, and one more on a boundary.
+    /// Whether a face holds both vertices.
     pub fn is_edge(&self, a: u32, b: u32) -> bool {
         self.vertex_faces[a as usize].iter().any(|&f| self.faces[f as usize].contains(&b))
     }
