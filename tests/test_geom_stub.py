@@ -62,7 +62,7 @@ def module_members(owner: ModuleType | type) -> dict[str, str]:
 
 def test_functions_and_classes_are_those_of_the_module() -> None:
     expected = stub_members(STUB.body)
-    found = {name: text for name, text in module_members(_geom).items()}
+    found = module_members(_geom)
     assert found == expected
     assert len(found) >= 20
 
@@ -178,13 +178,11 @@ def test_parameters_out_of_range_are_config_errors(
 def test_errors_of_the_core_are_the_packages_own(noisy: tuple[np.ndarray, np.ndarray]) -> None:
     vertices, faces = noisy
     assert issubclass(MeshError, GcndError)
+    broken, holed = faces.copy(), vertices.copy()
+    broken[3, 1], holed[5, 2] = 162, np.inf
     with pytest.raises(MeshError, match=r"face 3 .*vertex 162"):
-        broken = faces.copy()
-        broken[3, 1] = 162
         _geom.Topology(broken, 162)
     with pytest.raises(MeshError, match="vertex 5"):
-        holed = vertices.copy()
-        holed[5, 2] = np.inf
         _geom.validate(holed, faces)
     with pytest.raises(ConfigError, match="normals"):
         _geom.update_vertices(_geom.Topology(faces, 162), vertices, vertices, 1)

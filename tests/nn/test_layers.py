@@ -47,7 +47,9 @@ class LoopEdgeConv(nn.Module):
             out = leaky_relu(self.norm(nodes), self.slope)
         else:
             edges = leaky_relu(self.norm(torch.cat(responses)), self.slope)
-            out = torch.stack([edges[start : start + k].max(dim=0).values for start in range(0, len(edges), k)])
+            out = torch.stack(
+                [edges[start : start + k].max(dim=0).values for start in range(0, len(edges), k)]
+            )
         return out.view(*x.shape[:2], -1)
 
 

@@ -58,7 +58,9 @@ def small_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
     use_small_shapes(monkeypatch)
 
 
-def run(folder: Path, recipe: Recipe = RECIPE, kill_at: tuple[int, int] | None = None, **options: Any) -> Path:
+def run(
+    folder: Path, recipe: Recipe = RECIPE, kill_at: tuple[int, int] | None = None, **options: Any
+) -> Path:
     """Runs a recipe; with `kill_at`, ends as a killed process would at that (stage, step), nothing saved."""
 
     def on_step(stage: int, report: StepReport) -> None:

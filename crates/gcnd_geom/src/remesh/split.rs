@@ -59,5 +59,8 @@ fn split_in_passes(mesh: &mut DynamicMesh, mut after_split: impl FnMut(&mut Dyna
 }
 
 fn may_split(mesh: &DynamicMesh, a: u32, b: u32) -> bool {
-    mesh.edge_faces(a, b).1 <= 2 && mesh.link(a, b).is_none_or(|link| link.chain != LOCKED)
+    let (faces, count) = mesh.edge_faces(a, b);
+    // Two faces on the same three vertices would share the edge from the new vertex to the third, twice.
+    let is_pillow = count == 2 && mesh.opposite(faces[0], a, b) == mesh.opposite(faces[1], a, b);
+    count <= 2 && !is_pillow && mesh.link(a, b).is_none_or(|link| link.chain != LOCKED)
 }
