@@ -51,7 +51,7 @@ def _default(steps: int, later_steps: int) -> Recipe:
             TrainConfig(stage, steps=steps),
             TrainConfig(again, steps=later_steps, lr=1e-3, seed=1),
         ),
-        refinement=RefinementConfig(iterations=12, sigma_r=0.15, tolerance=1.5),
+        refinement=RefinementConfig(iterations=12, sigma_r=0.15, tolerance=3.0),
     )
 
 
