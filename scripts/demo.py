@@ -69,7 +69,9 @@ def report(
 ) -> None:
     """Prints the errors before and after and the seconds of each stage; writes the meshes."""
     console = Console()
-    console.print(f"{name}: {len(faces)} faces, noise {LEVEL} of the mean edge length along the normals", soft_wrap=True)
+    console.print(
+        f"{name}: {len(faces)} faces, noise {LEVEL} of the mean edge length along the normals", soft_wrap=True
+    )
     table = Table("", "noisy", "clean")
     before, after = (normal_error(v, truth, faces) for v in (noisy, clean))
     table.add_row("E_a, degrees", f"{before:.2f}", f"{after:.2f}")

@@ -94,7 +94,7 @@ def test_denoise_defaults(mesh_path: Path, denoise_calls: list[dict[str, Any]]) 
     assert main(["denoise", str(mesh_path), str(mesh_path.with_name("out.ply"))]) == 0
     (call,) = denoise_calls
     assert (call["preset"], call["device"], call["seed"]) == ("default", "cpu", 0)
-    assert (call["normal_iterations"], call["vertex_iterations"]) == (None, 15)
+    assert (call["normal_iterations"], call["vertex_iterations"]) == (None, None)
 
 
 def test_quiet_prints_nothing(
@@ -208,6 +208,7 @@ def test_errors_are_told_without_a_traceback(
         ["noise", "a.ply", "b.ply", "--level", "-0.1"],
         ["noise", "a.ply", "b.ply", "--level", "0.1", "--fraction", "1.5"],
         ["evaluate", "a.ply", "b.ply", "--samples", "0"],
+        ["train", "--threads", "0"],
         ["frobnicate"],
         ["--frobnicate"],
     ],

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gcnd import _geom
-from gcnd.errors import ConfigError
+from gcnd.errors import check_count
 from gcnd.mesh_io import to_arrays
-from gcnd.predict import predict_normals, refined
+from gcnd.predict import fast_precision, predict_normals, refined
 from gcnd.weights import load_cascade
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from gcnd.nn.cascade import Cascade
+    from gcnd.predict import Precision
 
 
 def denoise(
@@ -34,6 +35,7 @@ def denoise(
     seed: int = 0,
     normal_iterations: int | None = None,
     vertex_iterations: int | None = None,
+    precision: Precision | None = None,
     progress: Callable[[float, str], object] | None = None,
 ) -> Any:
     """Removes noise from a triangle mesh and keeps its features.
@@ -50,6 +52,8 @@ def denoise(
             The paper takes 12 for CAD models and depth-camera scans, 1 otherwise. ``None`` does what the preset
             says: ours refines where overlapping predictions allow it.
         vertex_iterations: Iterations of vertex updating (Eq. 6) after each stage; ``None`` takes the preset's, 15.
+        precision: "float32" or "bfloat16" for the network's products; ``None`` takes the fastest that is measured safe
+            on the device, see ``gcnd.predict.fast_precision``.
         progress: Called now and then with (fraction done, what is being done).
 
     Returns:
@@ -69,9 +73,9 @@ def denoise(
         >>> bool((clean.faces == noisy.faces).all())
         True
     """
-    for name, value in (("normal_iterations", normal_iterations), ("vertex_iterations", vertex_iterations)):
-        if value is not None and value < 0:
-            raise ConfigError(f"{name} is {value}, allowed: 0 or more")
+    check_count("seed", seed)
+    check_count("normal_iterations", normal_iterations)
+    check_count("vertex_iterations", vertex_iterations)
     arrays, rebuild = to_arrays(mesh)
     _geom.validate(arrays.vertices, arrays.faces)
     cascade = load_cascade(preset, device)
@@ -84,6 +88,7 @@ def denoise(
         seed=seed,
         normal_iterations=normal_iterations,
         vertex_iterations=vertex_iterations,
+        precision=precision,
         progress=progress,
     )
     return rebuild(vertices[welded])
@@ -98,6 +103,7 @@ def denoise_arrays(
     seed: int = 0,
     normal_iterations: int | None = None,
     vertex_iterations: int | None = None,
+    precision: Precision | None = None,
     progress: Callable[[float, str], object] | None = None,
 ) -> NDArray[np.float64]:
     """Runs a cascade over arrays; the line of ``denoise`` between reading and writing.
@@ -110,6 +116,7 @@ def denoise_arrays(
         seed: See ``denoise``.
         normal_iterations: See ``denoise``.
         vertex_iterations: See ``denoise``.
+        precision: See ``denoise``.
         progress: See ``denoise``.
 
     Returns:
@@ -119,6 +126,7 @@ def denoise_arrays(
     """
     if vertex_iterations is None:
         vertex_iterations = cascade.config.vertex_iterations
+    precision = precision or fast_precision(device)
     refinement = cascade.config.refinement
     if normal_iterations is not None:
         refinement = replace(refinement, iterations=normal_iterations, tolerance=None)
@@ -136,7 +144,14 @@ def denoise_arrays(
 
         report(0.0)
         prediction = predict_normals(
-            topology, vertices, stage, network, seed=seed + index, device=device, progress=report
+            topology,
+            vertices,
+            stage,
+            network,
+            seed=(seed + index) % 2**64,
+            device=device,
+            precision=precision,
+            progress=report,
         )
         is_last = index == len(passes) - 1
         normals = refined(topology, vertices, prediction, refinement) if is_last else prediction.normals

@@ -6,7 +6,7 @@ about it; the command line prints both and shows no traceback.
 
 from __future__ import annotations
 
-__all__ = ["ConfigError", "GcndError", "MeshError", "WeightsError"]
+__all__ = ["ConfigError", "GcndError", "MeshError", "WeightsError", "check_count"]
 
 
 class GcndError(Exception):
@@ -43,3 +43,23 @@ class ConfigError(GcndError, ValueError):
 
 class WeightsError(GcndError):
     """Reports network weights that are missing, damaged or do not fit."""
+
+
+def check_count(name: str, value: int | None) -> None:
+    """Checks that a count or a seed fits the geometry core's 64 bits.
+
+    Args:
+        name: Of the parameter, as the caller knows it.
+        value: What was given; None, which stands for a default, passes.
+
+    Raises:
+        ConfigError: If it is below 0, or 2⁶⁴ or more.
+
+    Example:
+        >>> check_count("seed", 2**64 - 1)
+        >>> check_count("seed", -1)
+        Traceback (most recent call last):
+        gcnd.errors.ConfigError: seed is -1, allowed: 0 or more
+    """
+    if value is not None and not 0 <= value < 1 << 64:
+        raise ConfigError(f"{name} is {value}, allowed: {'0 or more' if value < 0 else 'below 2**64'}")

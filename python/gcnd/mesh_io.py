@@ -291,7 +291,7 @@ def _as_numpy(values: Any, what: str) -> NDArray[Any]:
     try:
         array = np.array(values)
     except ValueError:
-        lengths = [len(row) for row in values]
+        lengths = [len(row) if hasattr(row, "__len__") else 1 for row in values]
         bad = next((i for i, length in enumerate(lengths) if length != 3), 0)
         if what == "faces":
             raise polygon_error(bad, lengths[bad]) from None

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gcnd import _geom
+from gcnd.errors import check_count
+from gcnd.mesh_io import to_arrays
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -26,16 +28,13 @@ def normal_angles(
         Degrees (F,); NaN where the truth's face has no area, 90 where only the result's has none.
 
     Raises:
-        MeshError: An index is out of range.
+        MeshError: An index is out of range, a coordinate is not finite or there are no faces.
 
     Paper: Sec. 7.2, Eq. 7, before averaging.
     """
-    triangles = np.ascontiguousarray(faces, dtype=np.uint32)
-    normals = [
-        _geom.face_geometry(np.ascontiguousarray(v, dtype=np.float64), triangles)[0]
-        for v in (result_vertices, truth_vertices)
-    ]
-    return _geom.normal_angles(*normals)
+    meshes = [to_arrays((vertices, faces))[0] for vertices in (result_vertices, truth_vertices)]
+    result, truth = (_geom.face_geometry(mesh.vertices, mesh.faces)[0] for mesh in meshes)
+    return _geom.normal_angles(result, truth)
 
 
 def normal_error(result_vertices: ArrayLike, truth_vertices: ArrayLike, faces: ArrayLike) -> float:
@@ -50,6 +49,9 @@ def normal_error(result_vertices: ArrayLike, truth_vertices: ArrayLike, faces: A
 
     Returns:
         Degrees; NaN when no face of the truth has an area.
+
+    Raises:
+        MeshError: An index is out of range, a coordinate is not finite or there are no faces.
 
     Paper: Sec. 7.2, Eq. 7.
 
@@ -89,14 +91,12 @@ def vertex_error(
 
     Raises:
         MeshError: An index is out of range, a coordinate is not finite or a mesh is empty.
+        ConfigError: The number of samples or the seed is out of range, or the truth is a single point.
 
     Paper: Sec. 7.2, Eq. 8. Choice: docs/choices.md#vertex-error.
     """
-    return _geom.vertex_error(
-        np.ascontiguousarray(result_vertices, dtype=np.float64),
-        np.ascontiguousarray(result_faces, dtype=np.uint32),
-        np.ascontiguousarray(truth_vertices, dtype=np.float64),
-        np.ascontiguousarray(truth_faces, dtype=np.uint32),
-        samples,
-        seed,
-    )
+    check_count("samples", samples)
+    check_count("seed", seed)
+    result, _ = to_arrays((result_vertices, result_faces))
+    truth, _ = to_arrays((truth_vertices, truth_faces))
+    return _geom.vertex_error(result.vertices, result.faces, truth.vertices, truth.faces, samples, seed)

@@ -4,26 +4,31 @@
 use crate::errors::ConfigError;
 use bytemuck::{AnyBitPattern, NoUninit};
 use gcnd_geom::{DVec3, Face};
-use numpy::{Element, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadonlyArrayDyn, PyReadwriteArrayDyn};
+use numpy::{
+    Element, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadonlyArrayDyn, PyReadwriteArrayDyn,
+    PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
 
 pub type Points<'py> = PyReadonlyArray2<'py, f64>;
 pub type Faces<'py> = PyReadonlyArray2<'py, u32>;
+
+/// `as_slice` also takes Fortran order, whose values would be read in the wrong places.
+fn c_order<T>(name: &str, in_order: bool, slice: Result<T, impl std::error::Error>) -> PyResult<T> {
+    let refuse = || ConfigError::new_err(format!("{name} must be a contiguous array in C order"));
+    if in_order { slice.map_err(|_| refuse()) } else { Err(refuse()) }
+}
 
 fn rows<'a, S, T>(name: &str, array: &'a PyReadonlyArray2<'_, S>) -> PyResult<&'a [T]>
 where
     S: Element + NoUninit,
     T: AnyBitPattern,
 {
-    use numpy::PyUntypedArrayMethods;
     if array.shape()[1] != 3 {
         let shape = array.shape();
         return Err(ConfigError::new_err(format!("{name} has shape {shape:?}, expected (n, 3)")));
     }
-    let slice = array
-        .as_slice()
-        .map_err(|_| ConfigError::new_err(format!("{name} must be a contiguous array in C order")))?;
-    Ok(bytemuck::cast_slice(slice))
+    Ok(bytemuck::cast_slice(c_order(name, array.is_c_contiguous(), array.as_slice())?))
 }
 
 /// `(n, 3)` float64 as points.
@@ -38,9 +43,7 @@ pub fn faces<'a>(array: &'a Faces<'_>) -> PyResult<&'a [Face]> {
 
 /// Any contiguous array as a slice.
 pub fn slice<'a, T: Element>(name: &str, array: &'a PyReadonlyArrayDyn<'_, T>) -> PyResult<&'a [T]> {
-    array
-        .as_slice()
-        .map_err(|_| ConfigError::new_err(format!("{name} must be a contiguous array in C order")))
+    c_order(name, array.is_c_contiguous(), array.as_slice())
 }
 
 /// Any contiguous writable array as a slice.
@@ -48,9 +51,8 @@ pub fn slice_mut<'a, T: Element>(
     name: &str,
     array: &'a mut PyReadwriteArrayDyn<'_, T>,
 ) -> PyResult<&'a mut [T]> {
-    array
-        .as_slice_mut()
-        .map_err(|_| ConfigError::new_err(format!("{name} must be a contiguous array in C order")))
+    let in_order = array.is_c_contiguous();
+    c_order(name, in_order, array.as_slice_mut())
 }
 
 /// Triples as a new `(n, 3)` array.

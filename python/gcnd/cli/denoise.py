@@ -32,7 +32,10 @@ def run(
         int | None,
         typer.Option(min=0, help="Passes of normal refinement; by default the preset's.", show_default=False),
     ] = None,
-    vertex_iterations: Annotated[int, typer.Option(min=0, help="Passes of vertex updating.")] = 15,
+    vertex_iterations: Annotated[
+        int | None,
+        typer.Option(min=0, help="Passes of vertex updating; by default the preset's.", show_default=False),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
     as_json: JsonFlag = False,
 ) -> None:

@@ -34,7 +34,9 @@ def run(
         typer.Option(help="float32 or bfloat16; by default bfloat16 where the processor computes in it."),
     ] = None,
     device: Annotated[Device, typer.Option(help="Where to train.")] = Device.CPU,
-    threads: Annotated[int | None, typer.Option(help="Threads of torch; by default all cores.")] = None,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Threads of torch; by default all cores.")
+    ] = None,
 ) -> None:
     """Train a recipe's weights; killed at any time, the same command goes on."""
     import torch

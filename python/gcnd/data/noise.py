@@ -112,7 +112,7 @@ def add_noise(
         (V, 3) float64, a new array.
 
     Raises:
-        ConfigError: An unknown kind, a negative or non-finite level, or a fraction outside 0 to 1.
+        ConfigError: An unknown kind, a negative or non-finite level, a fraction outside 0 to 1, or a negative seed.
 
     Paper: Sec. 7.1, the synthetic noise. Choice: docs/choices.md#noise (direction along the clean normal, measured
     on the benchmark's files).
@@ -150,7 +150,7 @@ class NoiseSource:
         self, *, kind: NoiseKind = "gaussian", level: float = 0.2, fraction: float = 0.3, seed: int = 0
     ) -> FloatArray:
         """Return one noisy version, (V, 3) float64; arguments and errors as in `add_noise`."""
-        _check(kind, level, fraction)
+        _check(kind, level, fraction, seed)
         rng = np.random.default_rng(seed)
         n_vertices = len(self._normals)
         if kind == "isotropic":
@@ -161,13 +161,15 @@ class NoiseSource:
         return np.asarray(self._clean + level * self.mean_edge * offset[self._inverse], dtype=np.float64)
 
 
-def _check(kind: str, level: float, fraction: float) -> None:
+def _check(kind: str, level: float, fraction: float, seed: int) -> None:
     if kind not in NOISE_KINDS:
         raise ConfigError(f"unknown noise kind {kind!r}", hint=f"use one of {', '.join(NOISE_KINDS)}")
     if not (np.isfinite(level) and level >= 0):
         raise ConfigError(f"noise level is {level}", hint="use a number >= 0, in mean edge lengths")
     if not 0 <= fraction <= 1:
         raise ConfigError(f"noise fraction is {fraction}", hint="use a number from 0 to 1")
+    if seed < 0:
+        raise ConfigError(f"noise seed is {seed}", hint="use a number >= 0")
 
 
 def _unique_edges(faces: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:

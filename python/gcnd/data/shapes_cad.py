@@ -7,15 +7,25 @@ from collections.abc import Callable
 import numpy as np
 from manifold3d import CrossSection, Manifold, OpType
 
+from gcnd.data.shapes_cad_features import FEATURES, bent, trimmed
 from gcnd.data.shapes_profiles import (
+    FILLET_RANGE,
     ball_segments,
     circle,
     lathe_profile,
     outline,
-    polygon,
     rectangle,
     rounded,
     segments,
+)
+from gcnd.data.shapes_solids import (
+    fitted,
+    largest_piece,
+    polygon_prism,
+    polyhedron,
+    primitive,
+    triple,
+    turned,
 )
 
 Part = Callable[[np.random.Generator], Manifold]
@@ -41,8 +51,8 @@ def cad_solid(rng: np.random.Generator) -> tuple[str, Manifold]:
     """
     names = list(FAMILIES)
     name = names[int(rng.choice(len(names), p=_SHARES))]
-    solid = _fit(FAMILIES[name](rng))
-    for feature, chance in _FEATURES:
+    solid = fitted(FAMILIES[name](rng))
+    for feature, chance in FEATURES:
         while rng.random() < chance:
             changed = feature(rng, solid)
             # A cut that eats the part is no feature.
@@ -51,75 +61,16 @@ def cad_solid(rng: np.random.Generator) -> tuple[str, Manifold]:
             chance *= 0.4
     solid = largest_piece(solid)
     if rng.random() < 0.25:
-        solid = _bent(rng, solid)
+        solid = bent(rng, solid)
     return name, solid
 
 
-def largest_piece(solid: Manifold) -> Manifold:
-    """Return the connected piece of largest volume.
-
-    Example:
-        >>> two = Manifold.cube() + Manifold.cube((2.0, 2.0, 2.0)).translate((5.0, 0.0, 0.0))
-        >>> largest_piece(two).volume()
-        8.0
-    """
-    pieces = solid.decompose()
-    return max(pieces, key=lambda piece: piece.volume()) if pieces else solid
-
-
-def _fit(solid: Manifold) -> Manifold:
-    """Move a solid to the origin and scale its longest side to 1."""
-    box = np.array(solid.bounding_box())
-    size = float((box[3:] - box[:3]).max())
-    centre = 0.5 * (box[:3] + box[3:])
-    moved = solid.translate((float(-centre[0]), float(-centre[1]), float(-centre[2])))
-    return moved.scale((1 / size, 1 / size, 1 / size)) if size > 0 else moved
-
-
-def _triple(values: np.ndarray) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
-
-
-def _turned(rng: np.random.Generator, solid: Manifold) -> Manifold:
-    """Rotate by right angles mostly, freely at times."""
-    if rng.random() < 0.6:
-        return solid.rotate(_triple(90.0 * rng.integers(0, 4, 3)))
-    return solid.rotate(_triple(rng.uniform(0, 360, 3)))
-
-
-def _primitive(rng: np.random.Generator) -> Manifold:
-    """A box, cylinder, cone, sphere, torus, prism or hull about 0.3 to 0.8 across."""
-    choice = int(rng.integers(7))
-    r, h = (float(x) for x in rng.uniform(0.12, 0.4, 2))
-    if choice == 0:
-        return Manifold.cube(_triple(rng.uniform(0.2, 0.8, 3)), True)
-    if choice == 1:
-        return Manifold.cylinder(2 * h, r, r, segments(r), True)
-    if choice == 2:
-        return Manifold.cylinder(2 * h, r, r * float(rng.uniform(0, 0.6)), segments(r), True)
-    if choice == 3:
-        return Manifold.sphere(r, ball_segments(r))
-    if choice == 4:
-        tube = circle(float(rng.uniform(0.25, 0.6)) * r).translate((r, 0.0))
-        return tube.revolve(segments(r))
-    if choice == 5:
-        return polygon(rng).scale((2 * r, 2 * r)).extrude(2 * h).translate((0.0, 0.0, -h))
-    return _polyhedron(rng).scale((0.6, 0.6, 0.6))
-
-
-def _polyhedron(rng: np.random.Generator) -> Manifold:
-    """The convex hull of random points on an ellipsoid: a gem."""
-    points = rng.standard_normal((int(rng.integers(6, 26)), 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    return Manifold.hull_points(points * rng.uniform(0.25, 0.5, 3))
-
-
 def _assembly(rng: np.random.Generator) -> Manifold:
-    solid = _primitive(rng)
+    solid = primitive(rng)
     for _ in range(int(rng.integers(2, 6))):
-        solid += _turned(rng, _primitive(rng)).translate(_triple(rng.uniform(-0.3, 0.3, 3)))
+        solid += turned(rng, primitive(rng)).translate(triple(rng.uniform(-0.3, 0.3, 3)))
     for _ in range(int(rng.integers(1, 4))):
-        solid -= _turned(rng, _primitive(rng)).translate(_triple(rng.uniform(-0.45, 0.45, 3)))
+        solid -= turned(rng, primitive(rng)).translate(triple(rng.uniform(-0.45, 0.45, 3)))
     return solid
 
 
@@ -175,7 +126,7 @@ def _bracket(rng: np.random.Generator) -> Manifold:
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, t], [t, t], [t, tall], [0.0, tall]])
     profile = CrossSection([corners])
     if rng.random() < 0.6:
-        profile = rounded(profile, float(rng.uniform(0.2, 0.45)) * t)
+        profile = rounded(profile, max(float(rng.uniform(0.25, 0.45)) * t, FILLET_RANGE[0]))
     solid = profile.extrude(w).rotate((90.0, 0.0, 0.0)).translate((0.0, w, 0.0))
     reach = float(rng.uniform(0.25, 0.8)) * min(1.0, tall)
     gusset = polygon_prism(np.array([[0.0, 0.0], [reach, 0.0], [0.0, reach]]), 0.6 * t)
@@ -230,17 +181,6 @@ def _pipe(rng: np.random.Generator) -> Manifold:
     return solid - Manifold.batch_boolean(inner, OpType.Add) if rng.random() < 0.6 else solid
 
 
-def polygon_prism(corners: np.ndarray, height: float) -> Manifold:
-    """Return the prism of height `height` over a polygon; (N, 2) corners anticlockwise, in part units.
-
-    Example:
-        >>> import numpy as np
-        >>> polygon_prism(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), 2.0).volume()
-        1.0
-    """
-    return CrossSection([corners]).extrude(height)
-
-
 def _housing(rng: np.random.Generator) -> Manifold:
     """A thin-walled box or tub with openings."""
     wall = float(rng.uniform(0.03, 0.08))
@@ -264,9 +204,9 @@ def _rounded(rng: np.random.Generator) -> Manifold:
     half = rng.uniform(0.1, 0.45, 3)
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     corners = signs * half + 0.3 * half * rng.standard_normal((8, 3)) * (rng.random() < 0.4)
-    solid = Manifold.batch_hull([ball.translate(_triple(c)) for c in corners])
+    solid = Manifold.batch_hull([ball.translate(triple(c)) for c in corners])
     for _ in range(int(rng.integers(0, 3))):
-        solid = _trimmed(rng, solid)
+        solid = trimmed(rng, solid)
     return solid
 
 
@@ -277,7 +217,7 @@ def _balls(rng: np.random.Generator) -> Manifold:
         r = float(rng.uniform(0.15, 0.4))
         way = rng.standard_normal(3)
         ball = Manifold.sphere(r, ball_segments(r)).translate(
-            _triple(way / np.linalg.norm(way) * rng.uniform(0.4, 0.6))
+            triple(way / np.linalg.norm(way) * rng.uniform(0.4, 0.6))
         )
         solid = solid - ball if rng.random() < 0.6 else solid + ball
     return solid
@@ -298,8 +238,8 @@ def _stairs(rng: np.random.Generator) -> Manifold:
 
 
 def _gem(rng: np.random.Generator) -> Manifold:
-    solid = _polyhedron(rng)
-    return solid if rng.random() < 0.5 else solid + _polyhedron(rng).rotate(_triple(rng.uniform(0, 360, 3)))
+    solid = polyhedron(rng)
+    return solid if rng.random() < 0.5 else solid + polyhedron(rng).rotate(triple(rng.uniform(0, 360, 3)))
 
 
 FAMILIES: dict[str, Part] = {
@@ -318,84 +258,3 @@ FAMILIES: dict[str, Part] = {
 """The families of parts by name."""
 
 _SHARES = np.array([0.16, 0.14, 0.15, 0.12, 0.07, 0.08, 0.07, 0.07, 0.06, 0.05, 0.03])
-
-
-def _trimmed(rng: np.random.Generator, solid: Manifold) -> Manifold:
-    """Bevel: cut a corner or an edge off by a plane."""
-    box = np.array(solid.bounding_box())
-    half = 0.5 * (box[3:] - box[:3])
-    normal = np.sign(rng.standard_normal(3)) * rng.uniform(0.2, 1.0, 3)
-    if rng.random() < 0.5:
-        normal[int(rng.integers(3))] = 0.0
-    normal /= np.linalg.norm(normal)
-    reach = float(np.abs(normal) @ half)
-    offset = float(normal @ (0.5 * (box[:3] + box[3:]))) + reach * float(rng.uniform(0.6, 0.9))
-    return solid.trim_by_plane(_triple(-normal), -offset)
-
-
-def _bored(rng: np.random.Generator, solid: Manifold) -> Manifold:
-    """Drill a round, square or countersunk hole."""
-    r = float(rng.uniform(0.03, 0.12))
-    hole = Manifold.cylinder(3.0, r, r, segments(r), True)
-    if rng.random() < 0.3:
-        hole = Manifold.cube((1.6 * r, 1.6 * r, 3.0), True)
-    elif rng.random() < 0.3:
-        hole += Manifold.cylinder(0.6, 0.0, 4 * r, segments(2 * r)).translate((0.0, 0.0, 0.1))
-    return solid - _turned(rng, hole).translate(_triple(rng.uniform(-0.25, 0.25, 3)))
-
-
-def _grooved(rng: np.random.Generator, solid: Manifold) -> Manifold:
-    """Engrave shallow parallel, crossing or ring-shaped grooves into the top, like lettering."""
-    top = float(solid.bounding_box()[5])
-    depth, width = float(rng.uniform(0.01, 0.04)), float(rng.uniform(0.015, 0.05))
-    tools = []
-    for i in range(int(rng.integers(2, 7))):
-        if rng.random() < 0.25:
-            r = float(rng.uniform(0.08, 0.3))
-            ring = (circle(r + width) - circle(r)).extrude(2 * depth)
-            tools.append(ring.translate((0.0, 0.0, -depth)))
-        else:
-            bar = Manifold.cube((float(rng.uniform(0.1, 0.8)), width, 2 * depth), True)
-            bar = bar.rotate((0.0, 0.0, float(rng.choice([0.0, 90.0, 45.0]))))
-            tools.append(bar.translate((float(rng.uniform(-0.2, 0.2)), (i - 2.5) * 3 * width, 0.0)))
-    tool = tools[0]
-    for other in tools[1:]:
-        tool += other
-    return solid - tool.translate((0.0, 0.0, top))
-
-
-def _cut(rng: np.random.Generator, solid: Manifold) -> Manifold:
-    return solid - _turned(rng, _primitive(rng)).translate(_triple(rng.uniform(-0.6, 0.6, 3)))
-
-
-def _joined(rng: np.random.Generator, solid: Manifold) -> Manifold:
-    other = _turned(rng, _primitive(rng)).scale((0.7, 0.7, 0.7))
-    return solid + other.translate(_triple(rng.uniform(-0.3, 0.3, 3)))
-
-
-_FEATURES: tuple[tuple[Callable[[np.random.Generator, Manifold], Manifold], float], ...] = (
-    (_joined, 0.2),
-    (_cut, 0.35),
-    (_trimmed, 0.35),
-    (_bored, 0.4),
-    (_grooved, 0.3),
-)
-
-
-def _bent(rng: np.random.Generator, solid: Manifold) -> Manifold:
-    """Bend and taper gently, so that edges and faces become curved and stay sharp."""
-    fine = solid.refine_to_length(0.02)
-    bend, taper = float(rng.uniform(-1.0, 1.0)), float(rng.uniform(-0.3, 0.3))
-    axis = int(rng.integers(3))
-
-    def warp(points: np.ndarray) -> np.ndarray:
-        p = np.roll(np.array(points), axis, axis=1)
-        scale = 1 + taper * p[:, 2]
-        x, y = p[:, 0] * scale, p[:, 1] * scale
-        angle = bend * p[:, 2]
-        reach = (1 / bend + x) if abs(bend) > 0.1 else x
-        bent = np.stack([reach * np.cos(angle) - 1 / bend, y, reach * np.sin(angle)], axis=1)
-        result = bent if abs(bend) > 0.1 else np.stack([x, y, p[:, 2]], axis=1)
-        return np.ascontiguousarray(np.roll(result, -axis, axis=1))
-
-    return fine.warp_batch(warp)

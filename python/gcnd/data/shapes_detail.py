@@ -85,7 +85,7 @@ def _ridges(rng: np.random.Generator, points: FloatArray, wavelength: float) -> 
 def _scales(rng: np.random.Generator, points: FloatArray, wavelength: float) -> FloatArray:
     """A dome around each of many evenly strewn points, with a seam in between."""
     centres = _strewn(rng, points, wavelength)
-    distances, _ = cKDTree(centres).query(points, k=2)
+    distances = np.asarray(cKDTree(centres).query(points, k=2)[0])
     gap = (distances[:, 1] - distances[:, 0]) / wavelength
     dome = 1 - (distances[:, 0] / wavelength) ** 2
     seam = _fade(gap, 0.0, 0.45)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
-from skimage.measure import label, marching_cubes
+from skimage.measure import marching_cubes
 
 from gcnd.data.noise import FaceArray, FloatArray
 
@@ -115,7 +115,9 @@ def iso_surface(field: Field, half: FloatArray) -> tuple[FloatArray, FaceArray]:
     values = _single_body(_sampled(field, shape, step), step)
     if not (values < 0).any():
         return np.zeros((0, 3)), np.zeros((0, 3), np.uint32)
-    vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="descent", allow_degenerate=False)
+    vertices, faces, _, _ = marching_cubes(  # type: ignore[no-untyped-call]
+        values, 0.0, gradient_direction="descent", allow_degenerate=False
+    )
     on_surface = _onto_zero(values, vertices.astype(np.float64))
     return (on_surface - 0.5 * (np.array(shape) - 1)) * step, np.ascontiguousarray(faces, dtype=np.uint32)
 
@@ -143,12 +145,12 @@ def _sampled(field: Field, shape: tuple[int, ...], step: float) -> npt.NDArray[n
 
 def _single_body(values: npt.NDArray[np.float32], step: float) -> npt.NDArray[np.float32]:
     """Keep the largest connected inside and the outside that reaches the border; flip the sign of the rest."""
-    pieces = label(values < 0, connectivity=1)
+    pieces = ndimage.label(values < 0)[0]
     counts = np.bincount(pieces.reshape(-1))
     if len(counts) > 2:
         keep = int(np.argmax(counts[1:])) + 1
         values = np.where((values < 0) & (pieces != keep), 0.2 * step, values)
-    voids = label(values >= 0, connectivity=1)
+    voids = ndimage.label(values >= 0)[0]
     return np.where((values >= 0) & (voids != voids[0, 0, 0]), np.float32(-0.2 * step), values)
 
 

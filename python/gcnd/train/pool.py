@@ -26,8 +26,6 @@ VERTEX_ITERATIONS = 15
 _STREAM = 0x706F6F6C
 """Keeps the pool's random numbers apart from those of the patches."""
 
-TrainedStage = "tuple[StageConfig, nn.Module]"
-
 
 def run_stages(
     shape: CleanShape,

@@ -16,7 +16,7 @@ from gcnd.errors import ConfigError
 from gcnd.mesh_io import load, to_arrays
 from gcnd.nn.cascade import Cascade, CascadeConfig
 from gcnd.nn.networks import build_network
-from gcnd.predict import predict_normals
+from gcnd.predict import fast_precision, predict_normals
 from gcnd.train.loop import StepReport, TrainConfig, Trainer
 from gcnd.train.pool import DenoisedPool, as_modules, evaluation_copy, run_stages
 from gcnd.train.samples import CleanShape, FreshNoise, NoiseDraw, VertexSource, noisy_vertices
@@ -41,8 +41,6 @@ N_VALIDATION_SHAPES = 6
 VALIDATION_NOISE = NoiseDraw("gaussian", 0.2, 0.0, 12345)
 
 CHECKPOINT_SECONDS = 60.0
-
-Log = "Callable[[dict[str, Any]], None]"
 
 
 class TrainingRun:
@@ -185,9 +183,7 @@ def load_clean_shapes(recipe: Recipe, shape_folder: Path, mesh_folder: Path | No
             arrays, _ = to_arrays(load(path))
             kind = path.parent.name if path.parent.name in ("cad", "smooth", "feature") else "feature"
             representatives, welded = _geom.weld(arrays.vertices)
-            shapes.append(
-                CleanShape(path.stem, kind, arrays.vertices[representatives], welded[arrays.faces])
-            )
+            shapes.append(CleanShape(path.stem, kind, arrays.vertices[representatives], welded[arrays.faces]))
     return shapes
 
 
@@ -203,7 +199,7 @@ def adapted(recipe: Recipe, *, scale: float = 1.0, precision: str | None = None)
     if precision not in (None, "float32", "bfloat16"):
         raise ConfigError(f"precision is {precision!r}, allowed: float32 or bfloat16")
     if precision is None:
-        fast = torch.cuda.is_available() or torch.cpu._is_avx512_bf16_supported()
+        fast = torch.cuda.is_available() or fast_precision("cpu") == "bfloat16"
         precision = "bfloat16" if fast and recipe.name != "paper" else "float32"
     stages = tuple(
         replace(s, steps=max(1, round(s.steps * scale)), precision=precision)  # type: ignore[arg-type]

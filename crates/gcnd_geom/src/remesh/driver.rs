@@ -130,8 +130,7 @@ fn check_params(vertices: &[DVec3], faces: &[Face], sizes: &[f64], params: &Reme
         });
     }
     let n_faces: f64 = faces.iter().map(|face| wanted_faces(face, vertices, sizes)).sum();
-    // Not `>`: overflow to NaN must not pass.
-    if !(n_faces <= MAX_FACES) {
+    if n_faces.is_nan() || n_faces > MAX_FACES {
         let count = n_faces.min(usize::MAX as f64) as usize;
         return Err(GeomError::TooLarge { what: "faces", count, limit: MAX_FACES as usize });
     }

@@ -59,8 +59,23 @@ fn split_in_passes(mesh: &mut DynamicMesh, mut after_split: impl FnMut(&mut Dyna
 }
 
 fn may_split(mesh: &DynamicMesh, a: u32, b: u32) -> bool {
+    if is_unsplittable(mesh, a, b) {
+        return false;
+    }
+    // Beside a longer edge that stays, every split would only leave another long edge: a fan without end.
+    let length = mesh.edge_length(a, b);
     let (faces, count) = mesh.edge_faces(a, b);
-    // Two faces on the same three vertices would share the edge from the new vertex to the third, twice.
-    let is_pillow = count == 2 && mesh.opposite(faces[0], a, b) == mesh.opposite(faces[1], a, b);
-    count <= 2 && !is_pillow && mesh.link(a, b).is_none_or(|link| link.chain != LOCKED)
+    faces[..count.min(2)].iter().all(|&face_id| {
+        let c = mesh.opposite(face_id, a, b);
+        [a, b].iter().all(|&v| mesh.edge_length(v, c) < length || !is_unsplittable(mesh, v, c))
+    })
+}
+
+/// Locked, or between two faces on the same three vertices, which would share both halves of a split.
+fn is_unsplittable(mesh: &DynamicMesh, a: u32, b: u32) -> bool {
+    if mesh.link(a, b).is_some_and(|link| link.chain == LOCKED) {
+        return true;
+    }
+    let (faces, count) = mesh.edge_faces(a, b);
+    count > 2 || count == 2 && mesh.opposite(faces[0], a, b) == mesh.opposite(faces[1], a, b)
 }
