@@ -15,7 +15,7 @@ import numpy as np
 
 from gcnd import _geom
 from gcnd.data.shape_cache import load_shapes
-from gcnd.nn.cascade import RefinementConfig
+from gcnd.nn.cascade import Cascade, RefinementConfig
 from gcnd.predict import Prediction, predict_normals, refined
 from gcnd.train.run import N_VALIDATION_SHAPES, VALIDATION_SEED
 from gcnd.train.samples import CleanShape
@@ -36,10 +36,9 @@ REFINEMENTS = {
 
 
 def last_prediction(
-    shape: CleanShape, vertices: np.ndarray, preset: str
+    shape: CleanShape, vertices: np.ndarray, cascade: Cascade
 ) -> tuple[np.ndarray, Prediction, int]:
     """Positions before the last vertex update, the last stage's prediction, and the vertex iterations."""
-    cascade = load_cascade(preset)
     passes = cascade.passes()
     for index, (stage, network) in enumerate(passes):
         prediction = predict_normals(shape.topology, vertices, stage, network, seed=index)
@@ -55,12 +54,13 @@ def main() -> None:
     parser.add_argument("--preset", default="default")
     parser.add_argument("--shapes", type=Path, default=Path("runs/shapes"))
     options = parser.parse_args()
+    cascade = load_cascade(options.preset)
     errors: dict[str, dict[str, list[float]]] = {name: {} for name in REFINEMENTS}
     for drawn in load_shapes(N_VALIDATION_SHAPES, VALIDATION_SEED, options.shapes):
         shape = CleanShape(drawn.name, drawn.kind, drawn.vertices, drawn.faces)
         for level in LEVELS:
             noisy = shape.noise.sample(level=level, seed=NOISE_SEED)
-            vertices, prediction, iterations = last_prediction(shape, noisy, options.preset)
+            vertices, prediction, iterations = last_prediction(shape, noisy, cascade)
             for name, refinement in REFINEMENTS.items():
                 normals = refined(shape.topology, vertices, prediction, refinement)
                 moved = _geom.update_vertices(shape.topology, vertices, normals, iterations)
