@@ -28,6 +28,9 @@ def run(
     shapes: Annotated[
         Path | None, typer.Option(help="Folder that keeps procedural shapes between runs.")
     ] = None,
+    start_from: Annotated[
+        str | None, typer.Option(help="Preset or weights file to start from instead of from nothing.")
+    ] = None,
     scale: Annotated[float, typer.Option(min=0.0, help="Factor on the recipe's optimiser steps.")] = 1.0,
     precision: Annotated[
         str | None,
@@ -57,6 +60,7 @@ def run(
         recipe,
         shape_folder=shapes,
         mesh_folder=meshes,
+        start_from=start_from,
         device=str(checked_device(device.value)),
         on_step=_LineWriter(),
         on_event=lambda text: print(text, file=sys.stderr, flush=True),

@@ -15,10 +15,10 @@ import numpy as np
 from gcnd.data.shapes import SHAPE_KINDS, Shape, ShapeKind, make_shape
 from gcnd.errors import ConfigError
 
-SHAPES_VERSION = 3
+SHAPES_VERSION = 4
 """Raise when `make_shape` changes what a seed gives: older files are then ignored."""
 
-DEFAULT_KINDS: Mapping[ShapeKind, float] = {"cad": 0.5, "smooth": 0.2, "feature": 0.3}
+DEFAULT_KINDS: Mapping[ShapeKind, float] = {"cad": 0.35, "smooth": 0.3, "feature": 0.35}
 """The shares of the kinds that `load_shapes` makes unless told otherwise."""
 
 
@@ -27,7 +27,7 @@ def shape_path(directory: Path | str, seed: int, kind: ShapeKind) -> Path:
 
     Example:
         >>> shape_path("shapes", 7, "cad").name
-        'shape-v3-cad-00000007.npz'
+        'shape-v4-cad-00000007.npz'
     """
     return Path(directory) / f"shape-v{SHAPES_VERSION}-{kind}-{seed:08d}.npz"
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from gcnd.data.noise import FaceArray, FloatArray, vertex_normals
 from gcnd.data.shapes_cad import cad_solid
+from gcnd.data.shapes_decimate import decimated, subdivided_from_coarse
 from gcnd.data.shapes_detail import add_relief
 from gcnd.data.shapes_mesh import FACE_RANGE, edge_length_for, is_sound, normalised, subdivided
-from gcnd.data.shapes_organic import smooth_body
+from gcnd.data.shapes_organic import lattice_knot, smooth_body
 from gcnd.data.shapes_remesh import TriangleStyle, draw_style, remeshed
 from gcnd.errors import ConfigError
 
@@ -48,8 +49,9 @@ def make_shape(seed: int, kind: ShapeKind | None = None) -> Shape:
     """Return the procedural shape of a seed: 9 to 42 thousand faces, closed, oriented outward.
 
     ``cad``: primitives and profiles joined and cut, sharp edges kept by the remeshing. ``smooth``: implicit and
-    parametric bodies. ``feature``: smooth bodies with relief of wavelengths from 5 to 16 edge lengths. Triangles are
-    isotropic, graded, or irregular.
+    parametric bodies. ``feature``: smooth bodies with relief of wavelengths from 2.5 to 16 edge lengths. Triangles are
+    isotropic, graded or irregular; those of smooth and detailed bodies also thinned out by quadrics, subdivided from
+    few, or split rectangles.
 
     Args:
         seed: Any integer >= 0; the same seed and kind give the same shape.
@@ -107,18 +109,24 @@ def _make_cad(rng: np.random.Generator) -> Made | None:
 
 
 def _make_smooth(rng: np.random.Generator) -> Made | None:
+    meshing = _SMOOTH_MESHINGS[int(rng.choice(len(_SMOOTH_MESHINGS), p=_SMOOTH_SHARES))]
+    n_faces = _draw_face_count(rng)
+    if meshing == "lattice":
+        n_across = int(np.sqrt(n_faces / 2) / float(np.exp(rng.uniform(np.log(1.5), np.log(6.0)))))
+        vertices, faces = lattice_knot(rng, round(n_faces / 2 / n_across), n_across)
+        return ("lattice", vertices, faces) if is_sound(vertices, faces) else None
     family, vertices, faces = smooth_body(rng)
     if len(faces) == 0:
         return None
-    style = draw_style(rng)
-    vertices, faces = remeshed(
-        rng, vertices, faces, n_faces=_draw_face_count(rng), feature_angle=180.0, style=style
+    vertices, faces = _meshed(rng, meshing, vertices, faces, n_faces)
+    sound = is_sound(
+        vertices, faces, sharp_angle=40.0, sharp_share=0.004, sliver_share=_SLIVER_SHARES[meshing]
     )
-    sound = is_sound(vertices, faces, sharp_angle=40.0, sharp_share=0.004)
-    return (family, vertices, faces) if sound else None
+    return (f"{family}-{meshing}", vertices, faces) if sound else None
 
 
 def _make_feature(rng: np.random.Generator) -> Made | None:
+    meshing = _FEATURE_MESHINGS[int(rng.choice(len(_FEATURE_MESHINGS), p=_FEATURE_SHARES))]
     family, vertices, faces = smooth_body(rng)
     if len(faces) == 0:
         return None
@@ -127,12 +135,35 @@ def _make_feature(rng: np.random.Generator) -> Made | None:
     vertices, faces = remeshed(rng, vertices, faces, n_faces=n_faces, feature_angle=180.0, style=even)
     edge_length = edge_length_for(vertices, faces, n_faces)
     vertices, faces = subdivided(vertices, faces, vertex_normals(vertices, faces))
-    relief, vertices = add_relief(rng, vertices, faces, edge_length)
-    style = draw_style(rng)
-    vertices, faces = remeshed(rng, vertices, faces, n_faces=n_faces, feature_angle=180.0, style=style)
-    sound = is_sound(vertices, faces, sharp_angle=70.0, sharp_share=0.02)
-    return (f"{family}-{relief}", vertices, faces) if sound else None
+    # Quadrics keep detail that an even mesh of the same size would blur, so it may be finer and steeper.
+    finest = (5.0, 0.2) if meshing == "remeshed" else tuple(rng.uniform([2.5, 0.2], [6.0, 0.5]).tolist())
+    relief, vertices = add_relief(rng, vertices, faces, edge_length, shortest=finest[0], steepest=finest[1])
+    vertices, faces = _meshed(rng, meshing, vertices, faces, n_faces)
+    sharp = 0.02 if meshing == "remeshed" else 0.08
+    sound = is_sound(
+        vertices, faces, sharp_angle=70.0, sharp_share=sharp, sliver_share=_SLIVER_SHARES[meshing]
+    )
+    return (f"{family}-{meshing}-{relief}", vertices, faces) if sound else None
 
+
+def _meshed(
+    rng: np.random.Generator, meshing: str, vertices: FloatArray, faces: FaceArray, n_faces: float
+) -> tuple[FloatArray, FaceArray]:
+    """The surface of a fine mesh in about `n_faces` triangles, as one kind of program would leave them."""
+    if meshing == "decimated":
+        if len(faces) <= round(n_faces):
+            vertices, faces = subdivided(vertices, faces, vertex_normals(vertices, faces))
+        return decimated(vertices, faces, n_faces, greed=float(rng.uniform(4.0, 8.0)))
+    if meshing == "subdivided":
+        return subdivided_from_coarse(vertices, faces, n_faces, rounds=int(rng.integers(1, 3)))
+    return remeshed(rng, vertices, faces, n_faces=n_faces, feature_angle=180.0, style=draw_style(rng))
+
+
+_SMOOTH_MESHINGS = ("remeshed", "decimated", "subdivided", "lattice")
+_SMOOTH_SHARES = (0.42, 0.32, 0.16, 0.1)
+_FEATURE_MESHINGS = ("remeshed", "decimated", "subdivided")
+_FEATURE_SHARES = (0.25, 0.6, 0.15)
+_SLIVER_SHARES = {"remeshed": 0.002, "decimated": 0.02, "subdivided": 0.02}
 
 _MAKERS: dict[ShapeKind, Callable[[np.random.Generator], Made | None]] = {
     "cad": _make_cad,

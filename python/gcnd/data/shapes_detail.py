@@ -16,18 +16,26 @@ _MAX_HEIGHT = 0.018
 
 
 def add_relief(
-    rng: np.random.Generator, vertices: FloatArray, faces: FaceArray, edge_length: float
+    rng: np.random.Generator,
+    vertices: FloatArray,
+    faces: FaceArray,
+    edge_length: float,
+    *,
+    shortest: float = 5.0,
+    steepest: float = 0.2,
 ) -> tuple[str, FloatArray]:
     """Return a fine mesh's vertices moved along their normals by one to four layers of relief.
 
-    Each layer has a wavelength of 5 to 16 edge lengths of the mesh to be made, a height of 6 to 20 % of that
-    wavelength and at most 0.018 mesh units, and covers either everything or patches that fade out.
+    Each layer has a wavelength of `shortest` to 16 edge lengths of the mesh to be made, a height of 6 % of that
+    wavelength to `steepest` times it and at most 0.018 mesh units, and covers everything or patches that fade out.
 
     Args:
         rng: Draws everything.
         vertices: (V, 3) float64, sampled at least twice as finely as `edge_length`.
         faces: (F, 3), outward.
         edge_length: The edge length that the final mesh will have, in mesh units.
+        shortest: Smallest wavelength in edge lengths.
+        steepest: Largest height in wavelengths.
 
     Returns:
         The names of the layers joined by ``+``, and (V, 3) float64 vertices.
@@ -44,8 +52,8 @@ def add_relief(
     moved = vertices
     for _ in range(int(rng.integers(1, 5))):
         name = list(RELIEFS)[int(rng.integers(len(RELIEFS)))]
-        wavelength = edge_length * float(np.exp(rng.uniform(np.log(5.0), np.log(16.0))))
-        height = min(wavelength * float(rng.uniform(0.06, 0.2)), _MAX_HEIGHT)
+        wavelength = edge_length * float(np.exp(rng.uniform(np.log(shortest), np.log(16.0))))
+        height = min(wavelength * float(rng.uniform(0.06, steepest)), _MAX_HEIGHT)
         layer = RELIEFS[name](rng, vertices, wavelength)
         if rng.random() < 0.4:
             mask = SmoothNoise(rng, float(rng.uniform(0.25, 0.7)))(vertices)

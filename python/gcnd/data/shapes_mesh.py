@@ -70,19 +70,25 @@ def edge_pairs(faces: FaceArray) -> npt.NDArray[np.int64] | None:
 
 
 def is_sound(
-    vertices: FloatArray, faces: FaceArray, *, sharp_angle: float = 180.0, sharp_share: float = 1.0
+    vertices: FloatArray,
+    faces: FaceArray,
+    *,
+    sharp_angle: float = 180.0,
+    sharp_share: float = 1.0,
+    sliver_share: float = 0.002,
 ) -> bool:
     """Return whether a mesh can serve as ground truth.
 
     It has 9 to 42 thousand faces; every edge belongs to two faces that run through it in opposite directions; the
-    volume is positive; fewer than 1 in 500 faces have a quality below 0.1; and no more than a share of the edges
-    are sharper than an angle.
+    volume is positive; no more than a share of the faces have a quality below 0.1; and no more than a share of the
+    edges are sharper than an angle.
 
     Args:
         vertices: (V, 3) float64.
         faces: (F, 3) uint32.
         sharp_angle: Between the normals of two neighbouring faces, in degrees.
         sharp_share: Largest share of edges above that angle.
+        sliver_share: Largest share of faces with a quality below 0.1.
 
     Returns:
         Whether all of this holds.
@@ -95,7 +101,7 @@ def is_sound(
     if not FACE_RANGE[0] <= len(faces) <= FACE_RANGE[1] or not np.isfinite(vertices).all():
         return False
     pairs = edge_pairs(faces)
-    if pairs is None or np.mean(triangle_quality(vertices, faces) < 0.1) > 0.002:
+    if pairs is None or np.mean(triangle_quality(vertices, faces) < 0.1) > sliver_share:
         return False
     crosses = face_crosses(vertices, faces)
     normals = crosses / np.maximum(np.linalg.norm(crosses, axis=1, keepdims=True), 1e-300)

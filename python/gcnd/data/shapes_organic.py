@@ -184,19 +184,38 @@ def tube_mesh(centres: FloatArray, radii: FloatArray) -> Mesh:
     return vertices.reshape(-1, 3), faces.astype(np.uint32)
 
 
-def _knot(rng: np.random.Generator) -> Mesh:
-    """A torus or torus knot whose cross section swells and twists."""
+def lattice_knot(rng: np.random.Generator, n_around: int, n_across: int) -> Mesh:
+    """Return a torus or torus knot whose cross section swells and twists, as a lattice of split rectangles.
+
+    Args:
+        rng: Draws the knot.
+        n_around: Rings along the knot.
+        n_across: Points in a ring.
+
+    Returns:
+        (n_around * n_across, 3) vertices and twice as many faces.
+
+    Example:
+        >>> import numpy as np
+        >>> lattice_knot(np.random.default_rng(0), 60, 20)[1].shape
+        (2400, 3)
+    """
     p, q = [(1, 0), (2, 3), (3, 2), (2, 5)][int(rng.integers(4))]
-    s = np.linspace(0, 2 * np.pi, 700, endpoint=False)
+    s = np.linspace(0, 2 * np.pi, n_around, endpoint=False)
     around = 0.3 + 0.11 * np.cos(q * s) * (q > 0)
     lift = 0.11 * np.sin(q * s) * (q > 0) + 0.05 * np.cos(2 * s + rng.uniform(0, 6)) * (q == 0)
     centres = np.stack([around * np.cos(p * s), around * np.sin(p * s), lift], axis=1)
     base = float(rng.uniform(0.05, 0.075)) if q else float(rng.uniform(0.08, 0.16))
-    t = np.linspace(0, 2 * np.pi, 160, endpoint=False)
+    t = np.linspace(0, 2 * np.pi, n_across, endpoint=False)
     lobes, turns = int(rng.integers(2, 6)), int(rng.integers(0, 9))
     depth = float(rng.uniform(0.0, 0.18))
     swell = 1 + 0.15 * np.cos(int(rng.integers(1, 7)) * s)[:, None] * float(rng.uniform(0, 1))
     return tube_mesh(centres, base * swell * (1 + depth * np.cos(lobes * t[None] + turns * s[:, None])))
+
+
+def _knot(rng: np.random.Generator) -> Mesh:
+    """A torus or torus knot."""
+    return lattice_knot(rng, 700, 160)
 
 
 def _superquadric(rng: np.random.Generator) -> Mesh:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from torch import nn
 
 from gcnd.errors import ConfigError
 from gcnd.nn.networks import CentreNormalNet, NetworkConfig, NodeNormalNet, build_network
+
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,11 @@ class CascadeConfig:
             raise ConfigError(f"cascade configuration does not fit: {error}") from error
 
 
+def written_out(stages: list[tuple[StageConfig, Network]]) -> list[tuple[StageConfig, Network]]:
+    """Returns one entry a pass for stages that run more than once."""
+    return [(config, network) for config, network in stages for _ in range(config.passes)]
+
+
 class Cascade(nn.Module):
     """Holds the networks of a cascade, ``stages[i]`` after ``config.stages[i]``.
 
@@ -148,11 +156,7 @@ class Cascade(nn.Module):
 
     def passes(self) -> list[tuple[StageConfig, CentreNormalNet | NodeNormalNet]]:
         """Returns every pass over the mesh in order, stages that repeat written out."""
-        return [
-            (stage, network)  # type: ignore[misc]
-            for stage, network in zip(self.config.stages, self.stages, strict=True)
-            for _ in range(stage.passes)
-        ]
+        return written_out(list(zip(self.config.stages, self.stages, strict=True)))  # type: ignore[arg-type]
 
     def for_inference(self) -> Cascade:
         """Returns a copy whose networks have their BatchNorm folded in; see ``gcnd.nn.fold``."""

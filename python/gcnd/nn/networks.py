@@ -109,6 +109,13 @@ class GraphTrunk(nn.Module):
         return torch.cat(outputs, dim=-1)
 
 
+def pool_nodes(x: Tensor) -> Tensor:
+    """Concatenates mean and maximum over the nodes: (P, N, C) to (P, 2 C) (paper Sec. 5.1)."""
+    # The gradient of amax counts ties, which costs as much as all of a step's neighbour searches.
+    largest = x.max(dim=1).values if torch.is_grad_enabled() else x.amax(dim=1)
+    return torch.cat([x.mean(dim=1), largest], dim=-1)
+
+
 class DenseNorm(nn.Module):
     """LeakyReLU(BatchNorm(Linear(x))) over the last dimension."""
 
@@ -143,7 +150,7 @@ class CentreNormalNet(nn.Module):
     def forward(self, features: Tensor, neighbors: Tensor) -> Tensor:
         """Maps (P, N, C_in) features and (P, N, 3) neighbours to (P, 3)."""
         x = self.pool(self.trunk(features, neighbors))
-        pooled = torch.cat([x.mean(dim=1), x.amax(dim=1)], dim=-1)
+        pooled = pool_nodes(x)
         out: Tensor = self.out(self.head(pooled))
         return out
 
@@ -178,7 +185,7 @@ class NodeNormalNet(nn.Module):
         """Maps (P, N, C_in) features and (P, N, 3) neighbours to (P, N, 3)."""
         x = self.trunk(features, neighbors)
         y = self.pool(x)
-        pooled = torch.cat([y.mean(dim=1), y.amax(dim=1)], dim=-1)
+        pooled = pool_nodes(y)
         h = self.head_node(x) + self.head_patch(pooled).unsqueeze(1)
         h = F.leaky_relu(self.head_norm(h), self.config.slope)
         residual: Tensor = self.out(self.head(h)).float()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 import time
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 
+from gcnd.errors import ConfigError
 from gcnd.nn.cascade import StageConfig
 from gcnd.nn.networks import build_network
 from gcnd.train.checkpoint import WeightAverage, optimizer_tensors, restore_optimizer, sub_state
@@ -59,6 +61,14 @@ class TrainConfig:
     precision: Literal["float32", "bfloat16"] = "float32"
     chunk: ChunkConfig = field(default_factory=ChunkConfig)
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("batch", "chunk.n_meshes"):
+            size = self.batch if name == "batch" else self.chunk.n_meshes
+            if size < 1 or self.chunk.n_patches % size:
+                raise ConfigError(
+                    f"{name} is {size}, which does not divide chunk.n_patches = {self.chunk.n_patches}"
+                )
 
 
 @dataclass(frozen=True)
@@ -143,8 +153,13 @@ class Trainer:
         save_tensors(path, tensors, {"step": self.step, "config": asdict(self.config), **(header or {})})
 
     def load(self, path: Path) -> dict[str, Any]:
-        """Restores a checkpoint and returns its header."""
+        """Restores a checkpoint and returns its header; raises ``ConfigError`` if it has another configuration."""
         tensors, header = load_tensors(path)
+        if header.get("config") != json.loads(json.dumps(asdict(self.config))):
+            raise ConfigError(
+                f"{path} was trained with other settings",
+                hint="give the same settings again, or another folder",
+            )
         self.network.load_state_dict(sub_state(tensors, "network"))
         average = sub_state(tensors, "average")
         self.average.state = {k: v.to(self.device) for k, v in average.items()}

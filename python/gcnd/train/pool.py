@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from gcnd import _geom
-from gcnd.predict import predict_normals
+from gcnd.predict import Precision, predict_normals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,11 +33,12 @@ def run_stages(
     stages: list[tuple[StageConfig, nn.Module]],
     seed: int,
     device: str = "cpu",
+    precision: Precision = "float32",
 ) -> NDArray[np.float64]:
     """Denoises positions (V, 3) by every stage in turn: normals, then vertex updating (paper Sec. 5.1)."""
     for index, (config, network) in enumerate(stages):
         prediction = predict_normals(
-            shape.topology, vertices, config, network, seed=seed + index, device=device, precision="bfloat16"
+            shape.topology, vertices, config, network, seed=seed + index, device=device, precision=precision
         )
         vertices = _geom.update_vertices(shape.topology, vertices, prediction.normals, VERTEX_ITERATIONS)
     return vertices
@@ -55,6 +56,7 @@ class DenoisedPool:
         size: int,
         seed: int,
         device: str = "cpu",
+        precision: Precision = "float32",
         progress: Callable[[int, int], None] | None = None,
     ):
         folder.mkdir(parents=True, exist_ok=True)
@@ -65,7 +67,7 @@ class DenoisedPool:
             path = folder / f"{number:04d}.npz"
             if not path.exists():
                 shape, noisy = noise.draw(np.random.default_rng([seed, _STREAM, number]))
-                vertices = run_stages(shape, noisy, stages, seed + number, device)
+                vertices = run_stages(shape, noisy, stages, seed + number, device, precision)
                 _save(path, by_name[shape.name], vertices)
             with np.load(path, allow_pickle=False) as file:
                 self.members.append((int(file["shape"]), file["vertices"]))
@@ -83,11 +85,6 @@ def _save(path: Path, shape: int, vertices: NDArray[np.float64]) -> None:
     with partial.open("wb") as file:
         np.savez(file, shape=shape, vertices=vertices.astype(np.float32))
     partial.replace(path)
-
-
-def as_modules(stages: list[tuple[StageConfig, nn.Module]]) -> list[tuple[StageConfig, nn.Module]]:
-    """Writes out the stages that run more than once."""
-    return [(config, network) for config, network in stages for _ in range(config.passes)]
 
 
 def evaluation_copy(network: nn.Module, state: dict[str, torch.Tensor]) -> nn.Module:

@@ -14,14 +14,15 @@ from gcnd import _geom
 from gcnd.data.shape_cache import load_shapes
 from gcnd.errors import ConfigError
 from gcnd.mesh_io import load, to_arrays
-from gcnd.nn.cascade import Cascade, CascadeConfig
+from gcnd.nn.cascade import Cascade, CascadeConfig, written_out
 from gcnd.nn.networks import build_network
 from gcnd.predict import fast_precision, predict_normals
 from gcnd.train.loop import StepReport, TrainConfig, Trainer
-from gcnd.train.pool import DenoisedPool, as_modules, evaluation_copy, run_stages
+from gcnd.train.pool import DenoisedPool, evaluation_copy, run_stages
 from gcnd.train.samples import CleanShape, FreshNoise, NoiseDraw, VertexSource, noisy_vertices
 from gcnd.weights import save_cascade
 from gcnd.weights.files import load_tensors, save_tensors
+from gcnd.weights.registry import load_trainable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,6 +43,8 @@ VALIDATION_NOISE = NoiseDraw("gaussian", 0.2, 0.0, 12345)
 
 CHECKPOINT_SECONDS = 60.0
 
+MESH_WEIGHT = 4.0
+
 
 class TrainingRun:
     """One run in one folder.
@@ -57,6 +60,7 @@ class TrainingRun:
         *,
         shape_folder: Path | None = None,
         mesh_folder: Path | None = None,
+        start_from: str | None = None,
         validate_every: int = 1000,
         device: str = "cpu",
         on_step: Callable[[int, StepReport], None] | None = None,
@@ -71,6 +75,7 @@ class TrainingRun:
             for s in load_shapes(N_VALIDATION_SHAPES, VALIDATION_SEED, shape_folder or folder / "shapes")
         ]
         self.noise = FreshNoise(self.shapes)
+        self.start = None if start_from is None else load_trainable(start_from)
 
     def run(self) -> Path:
         """Trains every stage that is not done and returns the path of the cascade's weights."""
@@ -95,10 +100,10 @@ class TrainingRun:
     def _train_stage(
         self, index: int, config: TrainConfig, earlier: list[tuple[StageConfig, nn.Module]]
     ) -> dict[str, torch.Tensor]:
-        before = as_modules(earlier)
-        source = self._source(index, before)
-        starts = [self._validation_input(shape, before) for shape in self.validation]
-        trainer = Trainer(config, source, self._initial_weights(config, earlier), self.device)
+        before = written_out(earlier)
+        source = self._source(index, config, before)
+        starts = [self._validation_input(shape, config, before) for shape in self.validation]
+        trainer = Trainer(config, source, self._initial_weights(index, config, earlier), self.device)
         checkpoint = self.folder / f"stage{index + 1}.checkpoint.safetensors"
         if checkpoint.exists():
             trainer.load(checkpoint)
@@ -128,26 +133,40 @@ class TrainingRun:
         trainer.run(after_step)
         return trainer.average.state
 
-    def _source(self, index: int, before: list[tuple[StageConfig, nn.Module]]) -> VertexSource:
+    def _source(
+        self, index: int, config: TrainConfig, before: list[tuple[StageConfig, nn.Module]]
+    ) -> VertexSource:
         if index == 0:
             return self.noise
         self._say(f"stage {index + 1}: denoising {self.recipe.pool_size} meshes with the stages before")
         folder = self.folder / f"stage{index + 1}.pool"
         return DenoisedPool(
-            folder, self.noise, self.shapes, before, self.recipe.pool_size, self.recipe.seed, self.device
+            folder,
+            self.noise,
+            self.shapes,
+            before,
+            self.recipe.pool_size,
+            self.recipe.seed,
+            self.device,
+            config.precision,
         )
 
     def _initial_weights(
-        self, config: TrainConfig, earlier: list[tuple[StageConfig, nn.Module]]
+        self, index: int, config: TrainConfig, earlier: list[tuple[StageConfig, nn.Module]]
     ) -> dict[str, torch.Tensor] | None:
+        """Weights of the same stage in ``start_from``, else of the stage before, where layouts agree."""
+        if self.start is not None and index < len(self.start.stages):
+            same = self.start.config.stages[index].network == config.stage.network
+            return self.start.stages[index].state_dict() if same else None
         if self.recipe.warm_start and earlier and earlier[-1][0].network == config.stage.network:
             return earlier[-1][1].state_dict()
         return None
 
     def _validation_input(
-        self, shape: CleanShape, before: list[tuple[StageConfig, nn.Module]]
+        self, shape: CleanShape, config: TrainConfig, before: list[tuple[StageConfig, nn.Module]]
     ) -> NDArray[np.float64]:
-        return run_stages(shape, noisy_vertices(shape, VALIDATION_NOISE), before, 0, self.device)
+        noisy = noisy_vertices(shape, VALIDATION_NOISE)
+        return run_stages(shape, noisy, before, 0, self.device, config.precision)
 
     def _validate(self, trainer: Trainer, config: TrainConfig, starts: list[NDArray[np.float64]]) -> float:
         """Mean E_a of the averaged weights' normals on the validation shapes, in degrees."""
@@ -173,6 +192,7 @@ def load_clean_shapes(recipe: Recipe, shape_folder: Path, mesh_folder: Path | No
     """Makes or reads the procedural shapes of a recipe, and adds the meshes of a folder.
 
     Subfolders of ``mesh_folder`` named cad, smooth or feature give their meshes that kind; others are "feature".
+    A mesh of the folder is drawn as often as `MESH_WEIGHT` generated ones.
     """
     shapes = [
         CleanShape(s.name, s.kind, s.vertices, s.faces)
@@ -183,7 +203,15 @@ def load_clean_shapes(recipe: Recipe, shape_folder: Path, mesh_folder: Path | No
             arrays, _ = to_arrays(load(path))
             kind = path.parent.name if path.parent.name in ("cad", "smooth", "feature") else "feature"
             representatives, welded = _geom.weld(arrays.vertices)
-            shapes.append(CleanShape(path.stem, kind, arrays.vertices[representatives], welded[arrays.faces]))
+            shapes.append(
+                CleanShape(
+                    path.stem,
+                    kind,
+                    arrays.vertices[representatives],
+                    welded[arrays.faces],
+                    draw_weight=MESH_WEIGHT,
+                )
+            )
     return shapes
 
 

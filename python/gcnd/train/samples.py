@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 _NOISE_SHARES = (0.6, 0.15, 0.1, 0.1, 0.05)
 """Of the kinds of noise in training, in the order of ``NOISE_KINDS``."""
 
+KIND_SHARES = {"cad": 0.3, "smooth": 0.3, "feature": 0.4}
+"""How often each kind of shape is drawn; detailed ones, the hardest, a little more often."""
+
 FEATURE_CLASSES = (1, 2)
 """Edge and corner faces in ``_geom.classify_faces``: the paper's group of feature faces (Sec. 5.2)."""
 
@@ -60,12 +63,14 @@ class CleanShape:
         kind: "cad", "smooth" or "feature".
         vertices: (V, 3) float64.
         faces: (F, 3) uint32.
+        draw_weight: How often it is drawn among the shapes of its kind, relative to the others.
     """
 
     name: str
     kind: str
     vertices: NDArray[np.float64]
     faces: NDArray[np.uint32]
+    draw_weight: float = 1.0
     topology: _geom.Topology = field(init=False)
     normals: NDArray[np.float64] = field(init=False)
     feature_faces: NDArray[np.uint32] = field(init=False)
@@ -121,16 +126,20 @@ class VertexSource(Protocol):
 
 
 class FreshNoise:
-    """Draws a shape, its kind first so that each kind is seen equally often, and adds fresh noise to it."""
+    """Draws a shape, its kind first so that each kind is seen as often as `KIND_SHARES` says, and fresh noise."""
 
     def __init__(self, shapes: list[CleanShape]):
-        self.by_kind = {kind: [s for s in shapes if s.kind == kind] for kind in {s.kind for s in shapes}}
-        self.kinds = sorted(self.by_kind)
+        self.shapes = shapes
+        kinds = sorted({s.kind for s in shapes})
+        self.shares = np.zeros(len(shapes))
+        for kind in kinds:
+            own = np.array([s.draw_weight if s.kind == kind else 0.0 for s in shapes])
+            self.shares += KIND_SHARES[kind] * own / own.sum()
+        self.shares /= self.shares.sum()
 
     def draw(self, rng: np.random.Generator) -> tuple[CleanShape, NDArray[np.float64]]:
         """Returns a shape and its vertices with noise."""
-        shapes = self.by_kind[self.kinds[int(rng.integers(len(self.kinds)))]]
-        shape = shapes[int(rng.integers(len(shapes)))]
+        shape = self.shapes[int(rng.choice(len(self.shapes), p=self.shares))]
         return shape, noisy_vertices(shape, draw_noise(rng))
 
 

@@ -80,6 +80,12 @@ def load_cascade(preset: str, device: torch.device | str = "cpu") -> Cascade:
         ConfigError: No such preset, or the device is not there.
         WeightsError: The file cannot be read, its hash or its layout does not match.
     """
+    target = checked_device(device)
+    return load_trainable(preset).for_inference().to(target)
+
+
+def load_trainable(preset: str) -> Cascade:
+    """Loads a cascade as it was trained, BatchNorm apart; arguments and errors as in ``load_cascade``."""
     is_path = str(preset).endswith(".safetensors")
     path = Path(preset) if is_path else _FOLDER / f"{preset}.safetensors"
     if not is_path and preset not in _SHIPPED:
@@ -93,7 +99,7 @@ def load_cascade(preset: str, device: torch.device | str = "cpu") -> Cascade:
     cascade = Cascade(_cascade_config(path, header))
     _check_layout(path, cascade, tensors)
     cascade.load_state_dict(tensors)
-    return cascade.for_inference().to(checked_device(device))
+    return cascade
 
 
 def save_cascade(path: Path, cascade: Cascade, header: dict[str, Any] | None = None) -> None:
