@@ -30,6 +30,7 @@ test-rust:
 
 test-python: $(MODULE)
 	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --doctest-modules --quiet python/gcnd
 
 lint: $(MODULE)
 	cargo fmt --all --check

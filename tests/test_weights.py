@@ -177,7 +177,9 @@ def test_another_feature_layout(path: Path) -> None:
 def test_a_configuration_that_is_not_known(path: Path) -> None:
     config = CONFIG.to_dict()
     refused(rewritten(path, cascade=None), "no cascade configuration")
-    refused(rewritten(path, cascade={**config, "stages": [{"network": {}}]}), "does not know.*patch")
+    refused(rewritten(path, cascade={**config, "stages": [{"network": {}}]}), "does not know.*no architecture")
+    without_patch = {"network": config["stages"][0]["network"]}
+    refused(rewritten(path, cascade={**config, "stages": [without_patch]}), "does not know.*patch")
     stage = {**config["stages"][0], "network": {**config["stages"][0]["network"], "heads": 8}}
     refused(rewritten(path, cascade={**config, "stages": [stage]}), "heads")
     stage["network"] = {**config["stages"][0]["network"], "architecture": "transformer"}
@@ -210,7 +212,11 @@ def test_an_unknown_preset(preset: str) -> None:
 
 def test_a_device_that_is_not_there(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    for device, message in (("cuda", "cuda is not available here"), ("gpu7", "unknown device 'gpu7'")):
+    for device, message in (
+        ("cuda", "cuda is not available here"),
+        ("gpu7", "unknown device 'gpu7'"),
+        ("meta", "device 'meta' is not"),
+    ):
         with pytest.raises(ConfigError, match=message):
             load_cascade(str(path), device)
         with pytest.raises(ConfigError, match=message):

@@ -17,7 +17,7 @@ from gcnd.data.noise import (
     smoothed,
     vertex_normals,
 )
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, MeshError
 
 Mesh = tuple[FloatArray, FaceArray]
 ALONG_NORMAL: tuple[NoiseKind, ...] = ("gaussian", "impulsive", "varying", "correlated")
@@ -163,3 +163,18 @@ def test_bad_values_are_named(ellipsoid: Mesh, wrong: dict[str, object], word: s
     with pytest.raises(ConfigError, match=word) as caught:
         add_noise(vertices, faces, **wrong)  # type: ignore[arg-type]
     assert caught.value.hint
+
+
+@pytest.mark.parametrize("bad", [-1, 162, 2**40])
+def test_faces_without_vertices_are_named(ellipsoid: Mesh, bad: int) -> None:
+    vertices, faces = ellipsoid
+    faces = np.asarray(faces, dtype=np.int64).copy()
+    faces[7, 1] = bad if bad < 0 else bad + len(vertices)
+    with pytest.raises(MeshError, match="face 7 is"):
+        add_noise(vertices, faces)
+
+
+@pytest.mark.parametrize("level", [-0.1, 1e308, float("nan"), float("inf")])
+def test_levels_out_of_range_are_named(ellipsoid: Mesh, level: float) -> None:
+    with pytest.raises(ConfigError, match="noise level is"):
+        add_noise(*ellipsoid, level=level)

@@ -83,6 +83,20 @@ def test_unknown_and_misshapen_fields_are_refused() -> None:
         CascadeConfig.from_dict({**values, "refinement": {"strength": 2}})
 
 
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"iterations": -1}, "iterations is -1"),
+        ({"sigma_r": 0.0}, "sigma_r is 0.0"),
+        ({"sigma_r": float("nan")}, "sigma_r is nan"),
+        ({"tolerance": -0.5}, "tolerance is -0.5"),
+    ],
+)
+def test_refinement_out_of_range_is_named(changed: dict[str, float], named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        RefinementConfig(**changed)  # type: ignore[arg-type]
+
+
 def test_a_cascade_needs_a_stage() -> None:
     with pytest.raises(ConfigError, match="at least one stage"):
         Cascade(CascadeConfig(()))

@@ -232,6 +232,14 @@ def test_an_unknown_field_is_named() -> None:
         NetworkConfig.from_dict({**SMALL_NODES.to_dict(), "dropout": 0.5})
 
 
+@pytest.mark.parametrize("field", sorted(SMALL_NODES.to_dict()))
+def test_a_missing_field_is_named(field: str) -> None:
+    values = SMALL_NODES.to_dict()
+    del values[field]
+    with pytest.raises(ConfigError, match=field):
+        NetworkConfig.from_dict(values)
+
+
 def test_more_neighbors_than_nodes_are_refused() -> None:
     network = build_network(replace(SMALL_NODES, knn_k=33))
     with pytest.raises(ConfigError, match="is 33"):

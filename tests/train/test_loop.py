@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from train_cases import CHUNK, STAGE, TRAIN, clean, cube, sphere
 
-from gcnd.errors import WeightsError
+from gcnd.errors import ConfigError, WeightsError
 from gcnd.train.checkpoint import WeightAverage
 from gcnd.train.loop import StepReport, TrainConfig, Trainer, batches, learning_rate
 from gcnd.train.losses import chord_loss, mse_loss
@@ -83,8 +83,26 @@ def test_a_checkpoint_that_is_none_is_refused(source: FreshNoise, tmp_path: Path
     with pytest.raises(WeightsError, match=r"bad\.safetensors"):
         Trainer(TRAIN, source).load(tmp_path / "bad.safetensors")
     save_tensors(tmp_path / "bare.safetensors", {"x": torch.zeros(1)}, {"step": 1})
-    with pytest.raises(RuntimeError, match="Missing key"):
+    with pytest.raises(ConfigError, match=r"bare\.safetensors was trained with other settings"):
         Trainer(TRAIN, source).load(tmp_path / "bare.safetensors")
+
+
+def test_a_checkpoint_of_other_settings_is_refused(source: FreshNoise, tmp_path: Path) -> None:
+    Trainer(TRAIN, source).save(tmp_path / "a.safetensors")
+    assert Trainer(TRAIN, source).load(tmp_path / "a.safetensors")["step"] == 0
+    with pytest.raises(ConfigError, match="other settings"):
+        Trainer(replace(TRAIN, steps=7), source).load(tmp_path / "a.safetensors")
+
+
+@pytest.mark.parametrize(("changed", "named"), [({"batch": 5}, "batch is 5"), ({"batch": 0}, "batch is 0")])
+def test_a_batch_that_does_not_divide_a_chunk_is_refused(changed: dict[str, int], named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        replace(TRAIN, **changed)  # type: ignore[arg-type]
+
+
+def test_meshes_that_do_not_divide_a_chunk_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"chunk\.n_meshes is 3"):
+        replace(TRAIN, chunk=replace(CHUNK, n_meshes=3))
 
 
 # --- batches -----------------------------------------------------------------------------------------

@@ -177,6 +177,16 @@ def test_a_second_stage_starts_from_the_first_where_layouts_agree(tmp_path: Path
         assert same == as_before
 
 
+def test_a_run_starts_from_given_weights_stage_by_stage(straight: Path, tmp_path: Path) -> None:
+    frozen = replace(RECIPE, stages=tuple(replace(stage, lr=0.0) for stage in RECIPE.stages))
+    run(tmp_path, frozen, start_from=str(straight / "tiny.safetensors"))
+    for name in ("stage1", "stage2"):
+        found, given = (load_tensors(f / f"{name}.safetensors")[0] for f in (tmp_path, straight))
+        weights = [key for key in given if key.endswith("weight") and "norm" not in key]
+        assert weights
+        assert all(torch.equal(found[key], given[key]) for key in weights)
+
+
 # --- what a run is made of -----------------------------------------------------------------------------
 
 

@@ -250,12 +250,15 @@ def test_noise_as_training_sees_it() -> None:
     assert len({d.seed for d in draws}) > 3990
 
 
-def test_each_kind_of_shape_is_drawn_equally_often() -> None:
+def test_shapes_are_drawn_by_kind_and_weight() -> None:
     ball, cubes = clean(sphere()), [clean(cube(2)) for _ in range(3)]
-    source = FreshNoise([*cubes, ball])
+    rough = replace(ball, name="rough", kind="feature", draw_weight=1.0)
+    rougher = replace(rough, name="rougher", draw_weight=3.0)
+    source = FreshNoise([*cubes, ball, rough, rougher])
     rng = np.random.default_rng(0)
-    names = [source.draw(rng)[0].name for _ in range(400)]
-    assert 160 < names.count("sphere") < 240
+    names = [source.draw(rng)[0].name for _ in range(2000)]
+    shares = {name: names.count(name) / 2000 for name in ("cube", "sphere", "rough", "rougher")}
+    assert shares == pytest.approx({"cube": 0.3, "sphere": 0.3, "rough": 0.1, "rougher": 0.3}, abs=0.035)
 
 
 def test_noise_moves_the_vertices_of_the_clean_mesh() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, MeshError
 
 FloatArray = npt.NDArray[np.float64]
 FaceArray = npt.NDArray[np.uint32]
@@ -23,6 +23,7 @@ NOISE_KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
 VARYING_RANGE = (0.3, 1.7)
 """Smallest and largest factor on the level of ``"varying"`` noise."""
 
+_MAX_LEVEL = 1000.0
 _VARYING_SMOOTHING = 60
 _CORRELATED_SMOOTHING = (2, 8)
 
@@ -112,7 +113,8 @@ def add_noise(
         (V, 3) float64, a new array.
 
     Raises:
-        ConfigError: An unknown kind, a negative or non-finite level, a fraction outside 0 to 1, or a negative seed.
+        ConfigError: An unknown kind, a level outside 0 to 1000, a fraction outside 0 to 1, or a negative seed.
+        MeshError: A face has an id that is no vertex.
 
     Paper: Sec. 7.1, the synthetic noise. Choice: docs/choices.md#noise (direction along the clean normal, measured
     on the benchmark's files).
@@ -135,6 +137,9 @@ class NoiseSource:
     Args:
         vertices: (V, 3) float64, clean positions in mesh units.
         faces: (F, 3), vertex ids.
+
+    Raises:
+        MeshError: A face has an id that is no vertex.
     """
 
     def __init__(self, vertices: FloatArray, faces: FaceArray) -> None:
@@ -142,7 +147,14 @@ class NoiseSource:
         # Adding zero turns -0.0 into 0.0, so that both are one position.
         welded, inverse = np.unique(self._clean + 0.0, axis=0, return_inverse=True)
         self._inverse = inverse.reshape(-1)
-        self._faces = self._inverse[np.asarray(faces)]
+        ids = np.asarray(faces)
+        outside = (ids < 0) | (ids >= len(self._clean))
+        if outside.any():
+            face_id = int(np.argwhere(outside)[0, 0])
+            raise MeshError(
+                f"face {face_id} is {ids[face_id].tolist()}, but there are {len(self._clean)} vertices"
+            )
+        self._faces = self._inverse[ids]
         self._normals = vertex_normals(welded, self._faces)
         self.mean_edge = mean_edge_length(welded, self._faces)
 
@@ -164,8 +176,8 @@ class NoiseSource:
 def _check(kind: str, level: float, fraction: float, seed: int) -> None:
     if kind not in NOISE_KINDS:
         raise ConfigError(f"unknown noise kind {kind!r}", hint=f"use one of {', '.join(NOISE_KINDS)}")
-    if not (np.isfinite(level) and level >= 0):
-        raise ConfigError(f"noise level is {level}", hint="use a number >= 0, in mean edge lengths")
+    if not 0 <= level <= _MAX_LEVEL:
+        raise ConfigError(f"noise level is {level}", hint=f"use 0 to {_MAX_LEVEL:.0f}, in mean edge lengths")
     if not 0 <= fraction <= 1:
         raise ConfigError(f"noise fraction is {fraction}", hint="use a number from 0 to 1")
     if seed < 0:

@@ -10,7 +10,6 @@ from torch import nn
 from gcnd.errors import ConfigError
 from gcnd.nn.networks import CentreNormalNet, NetworkConfig, NodeNormalNet, build_network
 
-
 Network = TypeVar("Network", bound=nn.Module)
 
 
@@ -103,6 +102,14 @@ class RefinementConfig:
     iterations: int = 1
     sigma_r: float = 0.3
     tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.iterations >= 0:
+            raise ConfigError(f"iterations is {self.iterations}, allowed: 0 or more")
+        if not self.sigma_r > 0:
+            raise ConfigError(f"sigma_r is {self.sigma_r}, allowed: above 0")
+        if self.tolerance is not None and not self.tolerance >= 0:
+            raise ConfigError(f"tolerance is {self.tolerance}, allowed: 0 or more, or none")
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ Channels of the features: centroid (3), normal (3), area, degree, then the verte
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -66,6 +66,9 @@ class NetworkConfig:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> NetworkConfig:
         """Rebuilds a configuration from ``to_dict``; raises ``ConfigError`` on unknown or missing fields."""
+        missing = [field.name for field in fields(cls) if field.name not in values]
+        if missing:
+            raise ConfigError(f"network configuration does not fit: no {', '.join(missing)}")
         try:
             lists: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
             return cls(**lists)

@@ -116,6 +116,8 @@ def checked_device(device: torch.device | str) -> torch.device:
         found = torch.device(device)
     except RuntimeError as error:
         raise ConfigError(f"unknown device {device!r}", hint="cpu or cuda") from error
+    if found.type not in ("cpu", "cuda"):
+        raise ConfigError(f"device {device!r} is not supported", hint="cpu or cuda")
     if found.type == "cuda" and not torch.cuda.is_available():
         raise ConfigError("device cuda is not available here", hint="use --device cpu")
     return found
