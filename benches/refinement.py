@@ -1,4 +1,4 @@
-"""E_a after different refinements of the last stage's normals, on the shapes that training validates on.
+"""E_a after different refinements of the last stage's normals, on shapes that no weights were trained on.
 
     python benches/refinement.py --preset default
 
@@ -17,10 +17,11 @@ from gcnd import _geom
 from gcnd.data.shape_cache import load_shapes
 from gcnd.nn.cascade import Cascade, RefinementConfig
 from gcnd.predict import Prediction, predict_normals, refined
-from gcnd.train.run import N_VALIDATION_SHAPES, VALIDATION_SEED
+from gcnd.train.corpus import VALIDATION_SEED
 from gcnd.train.samples import CleanShape
 from gcnd.weights import load_cascade
 
+N_SHAPES = 12
 LEVELS = (0.1, 0.3)
 NOISE_SEED = 3
 
@@ -56,7 +57,7 @@ def main() -> None:
     options = parser.parse_args()
     cascade = load_cascade(options.preset)
     errors: dict[str, dict[str, list[float]]] = {name: {} for name in REFINEMENTS}
-    for drawn in load_shapes(N_VALIDATION_SHAPES, VALIDATION_SEED, options.shapes):
+    for drawn in load_shapes(N_SHAPES, VALIDATION_SEED, options.shapes):
         shape = CleanShape(drawn.name, drawn.kind, drawn.vertices, drawn.faces)
         for level in LEVELS:
             noisy = shape.noise.sample(level=level, seed=NOISE_SEED)

@@ -177,7 +177,9 @@ def test_another_feature_layout(path: Path) -> None:
 def test_a_configuration_that_is_not_known(path: Path) -> None:
     config = CONFIG.to_dict()
     refused(rewritten(path, cascade=None), "no cascade configuration")
-    refused(rewritten(path, cascade={**config, "stages": [{"network": {}}]}), "does not know.*no architecture")
+    refused(
+        rewritten(path, cascade={**config, "stages": [{"network": {}}]}), "does not know.*no architecture"
+    )
     without_patch = {"network": config["stages"][0]["network"]}
     refused(rewritten(path, cascade={**config, "stages": [without_patch]}), "does not know.*patch")
     stage = {**config["stages"][0], "network": {**config["stages"][0]["network"], "heads": 8}}

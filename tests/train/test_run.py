@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from train_cases import STAGE, TRAIN, cube, sphere
+from train_cases import STAGE, TRAIN, clean, cube, sphere
 
 from gcnd.data.noise import add_noise
 from gcnd.data.shapes import Shape
@@ -19,10 +19,12 @@ from gcnd.denoise import denoise, denoise_arrays
 from gcnd.errors import ConfigError
 from gcnd.mesh_io import save
 from gcnd.nn.cascade import Cascade, RefinementConfig
+from gcnd.train import corpus as corpus_module
 from gcnd.train import run as run_module
+from gcnd.train.corpus import generated_corpus, paired_corpus
 from gcnd.train.loop import StepReport
 from gcnd.train.recipes import RECIPES, Recipe, get_recipe
-from gcnd.train.run import TrainingRun, adapted, load_clean_shapes
+from gcnd.train.run import TrainingRun, adapted
 from gcnd.weights import load_cascade
 from gcnd.weights.files import load_tensors
 
@@ -47,9 +49,9 @@ def use_small_shapes(patched: pytest.MonkeyPatch) -> None:
     """Two small shapes in place of the procedural ones, and a checkpoint after every step."""
 
     def load_shapes(n: int, seed: int, directory: Path) -> list[Shape]:
-        return [sphere(), cube(4)][: 1 if seed == run_module.VALIDATION_SEED else n]
+        return [sphere(), cube(4)][: 1 if seed == corpus_module.VALIDATION_SEED else n]
 
-    patched.setattr(run_module, "load_shapes", load_shapes)
+    patched.setattr(corpus_module, "load_shapes", load_shapes)
     patched.setattr(run_module, "CHECKPOINT_SECONDS", -1.0)
 
 
@@ -67,7 +69,8 @@ def run(
         if (stage, report.step) == kill_at:
             raise KilledError
 
-    return TrainingRun(folder, recipe, validate_every=2, on_step=on_step, **options).run()
+    corpus = generated_corpus(recipe, folder, None)
+    return TrainingRun(folder, recipe, corpus, validate_every=2, on_step=on_step, **options).run()
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +158,8 @@ def test_killed_between_stage_and_cascade_nothing_is_trained_again(straight: Pat
     for name in ("tiny.safetensors", "stage2.safetensors"):
         (tmp_path / name).unlink()
     steps: list[int] = []
-    TrainingRun(tmp_path, RECIPE, on_step=lambda stage, report: steps.append(report.step)).run()
+    corpus = generated_corpus(RECIPE, tmp_path, None)
+    TrainingRun(tmp_path, RECIPE, corpus, on_step=lambda stage, report: steps.append(report.step)).run()
     assert steps == []
     assert_same_weights(tmp_path / "tiny.safetensors", straight / "tiny.safetensors")
 
@@ -198,7 +202,7 @@ def test_meshes_of_a_folder_are_added_by_kind(tmp_path: Path) -> None:
     save(box, tmp_path / "smooth" / "a.obj")
     save(box, tmp_path / "other" / "c.off")
     (tmp_path / "cad" / "notes.txt").write_text("no mesh", encoding="utf-8")
-    shapes = load_clean_shapes(RECIPE, tmp_path, tmp_path)
+    shapes = generated_corpus(RECIPE, tmp_path, tmp_path).shapes
     assert [(s.name, s.kind) for s in shapes] == [
         ("sphere", "smooth"),
         ("cube", "cad"),
@@ -206,7 +210,49 @@ def test_meshes_of_a_folder_are_added_by_kind(tmp_path: Path) -> None:
         ("c", "feature"),
         ("a", "smooth"),
     ]
+    assert [s.draw_weight for s in shapes] == [1.0, 1.0, 4.0, 4.0, 4.0]
     assert np.array_equal(shapes[2].vertices, box.vertices)
+
+
+def write_dataset(folder: Path) -> None:
+    """Two models for training, one for the test, each with two noisy versions."""
+    for split, models in (("train", ("ball", "big_box")), ("test", ("egg",))):
+        for part in ("noisy", "original"):
+            (folder / split / part).mkdir(parents=True)
+        for number, model in enumerate(models):
+            shape = cube(4) if model == "big_box" else sphere()
+            save(
+                trimesh.Trimesh(shape.vertices, shape.faces, process=False),
+                folder / split / "original" / f"{model}.obj",
+            )
+            for name, level in ((f"{model}_n1", 0.1), (f"{model}_noisy", 0.3)):
+                noisy = add_noise(shape.vertices, shape.faces, level=level, seed=number)
+                save(
+                    trimesh.Trimesh(noisy, shape.faces, process=False),
+                    folder / split / "noisy" / f"{name}.obj",
+                )
+
+
+def test_a_run_on_pairs_learns_from_them_alone(tmp_path: Path) -> None:
+    write_dataset(tmp_path / "data")
+    corpus = paired_corpus(tmp_path / "data")
+    names = ["ball_n1", "ball_noisy", "big_box_n1", "big_box_noisy"]
+    assert [shape.name for shape in corpus.shapes] == names
+    assert [shape.name for shape, _ in corpus.validation] == ["egg_n1", "egg_noisy"]
+    rng = np.random.default_rng(0)
+    drawn = [corpus.source.draw(rng) for _ in range(60)]
+    assert sorted({shape.name for shape, _ in drawn}) == names
+    edge = sphere_edge()
+    for shape, vertices in drawn:
+        moved = np.linalg.norm(vertices - shape.vertices, axis=1).std()
+        assert 0 < moved < 0.5 * max(edge, shape.noise.mean_edge)
+    path = TrainingRun(tmp_path / "run", RECIPE, corpus, validate_every=5).run()
+    assert len(load_cascade(str(path)).passes()) == 3
+    assert all(0 < line["validation_e_a"] < 90 for line in logged(tmp_path / "run"))
+
+
+def sphere_edge() -> float:
+    return clean(sphere()).noise.mean_edge
 
 
 def test_adapted_scales_the_steps_and_sets_the_precision(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,6 +25,13 @@ def run(
     meshes: Annotated[
         Path | None, typer.Option(help="Folder of clean meshes to train on beside the procedural shapes.")
     ] = None,
+    pairs: Annotated[
+        Path | None,
+        typer.Option(
+            help="Dataset of noisy and clean meshes to train on instead: train/noisy, train/original, test/noisy, "
+            "test/original."
+        ),
+    ] = None,
     shapes: Annotated[
         Path | None, typer.Option(help="Folder that keeps procedural shapes between runs.")
     ] = None,
@@ -45,6 +52,7 @@ def run(
     import torch
 
     from gcnd.errors import ConfigError
+    from gcnd.train.corpus import generated_corpus, paired_corpus
     from gcnd.train.recipes import get_recipe
     from gcnd.train.run import TrainingRun, adapted
     from gcnd.weights.registry import checked_device
@@ -53,13 +61,14 @@ def run(
         torch.set_num_threads(threads)
     if meshes is not None and not meshes.is_dir():
         raise ConfigError(f"{meshes} is not a folder of meshes")
+    if pairs is not None and (meshes is not None or shapes is not None):
+        raise ConfigError("--pairs trains on the pairs alone", hint="leave out --meshes and --shapes")
     recipe = adapted(get_recipe(preset), scale=scale, precision=precision)
     folder = out or Path("runs") / recipe.name
     training = TrainingRun(
         folder,
         recipe,
-        shape_folder=shapes,
-        mesh_folder=meshes,
+        paired_corpus(pairs) if pairs else generated_corpus(recipe, shapes or folder / "shapes", meshes),
         start_from=start_from,
         device=str(checked_device(device.value)),
         on_step=_LineWriter(),

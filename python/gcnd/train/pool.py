@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from torch import nn
 
     from gcnd.nn.cascade import StageConfig
-    from gcnd.train.samples import CleanShape, FreshNoise
+    from gcnd.train.samples import CleanShape, VertexSource
 
 VERTEX_ITERATIONS = 15
 """Iterations of Eq. 6 between stages, in training as at run time."""
@@ -50,7 +50,7 @@ class DenoisedPool:
     def __init__(
         self,
         folder: Path,
-        noise: FreshNoise,
+        noise: VertexSource,
         shapes: list[CleanShape],
         stages: list[tuple[StageConfig, nn.Module]],
         size: int,

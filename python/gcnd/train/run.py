@@ -11,15 +11,12 @@ import numpy as np
 import torch
 
 from gcnd import _geom
-from gcnd.data.shape_cache import load_shapes
 from gcnd.errors import ConfigError
-from gcnd.mesh_io import load, to_arrays
 from gcnd.nn.cascade import Cascade, CascadeConfig, written_out
 from gcnd.nn.networks import build_network
 from gcnd.predict import fast_precision, predict_normals
 from gcnd.train.loop import StepReport, TrainConfig, Trainer
 from gcnd.train.pool import DenoisedPool, evaluation_copy, run_stages
-from gcnd.train.samples import CleanShape, FreshNoise, NoiseDraw, VertexSource, noisy_vertices
 from gcnd.weights import save_cascade
 from gcnd.weights.files import load_tensors, save_tensors
 from gcnd.weights.registry import load_trainable
@@ -32,18 +29,11 @@ if TYPE_CHECKING:
     from torch import nn
 
     from gcnd.nn.cascade import StageConfig
+    from gcnd.train.corpus import Corpus
     from gcnd.train.recipes import Recipe
-
-VALIDATION_SEED = 1_000_000
-"""First seed of the procedural shapes that are validated on and never trained on."""
-
-N_VALIDATION_SHAPES = 6
-
-VALIDATION_NOISE = NoiseDraw("gaussian", 0.2, 0.0, 12345)
+    from gcnd.train.samples import CleanShape, VertexSource
 
 CHECKPOINT_SECONDS = 60.0
-
-MESH_WEIGHT = 4.0
 
 
 class TrainingRun:
@@ -57,9 +47,8 @@ class TrainingRun:
         self,
         folder: Path,
         recipe: Recipe,
+        corpus: Corpus,
         *,
-        shape_folder: Path | None = None,
-        mesh_folder: Path | None = None,
         start_from: str | None = None,
         validate_every: int = 1000,
         device: str = "cpu",
@@ -67,14 +56,8 @@ class TrainingRun:
         on_event: Callable[[str], None] | None = None,
     ):
         folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self.recipe, self.device = folder, recipe, device
+        self.folder, self.recipe, self.corpus, self.device = folder, recipe, corpus, device
         self.validate_every, self.on_step, self.on_event = validate_every, on_step, on_event
-        self.shapes = load_clean_shapes(recipe, shape_folder or folder / "shapes", mesh_folder)
-        self.validation = [
-            CleanShape(s.name, s.kind, s.vertices, s.faces)
-            for s in load_shapes(N_VALIDATION_SHAPES, VALIDATION_SEED, shape_folder or folder / "shapes")
-        ]
-        self.noise = FreshNoise(self.shapes)
         self.start = None if start_from is None else load_trainable(start_from)
 
     def run(self) -> Path:
@@ -102,7 +85,10 @@ class TrainingRun:
     ) -> dict[str, torch.Tensor]:
         before = written_out(earlier)
         source = self._source(index, config, before)
-        starts = [self._validation_input(shape, config, before) for shape in self.validation]
+        starts = [
+            (shape, run_stages(shape, noisy, before, 0, self.device, config.precision))
+            for shape, noisy in self.corpus.validation
+        ]
         trainer = Trainer(config, source, self._initial_weights(index, config, earlier), self.device)
         checkpoint = self.folder / f"stage{index + 1}.checkpoint.safetensors"
         if checkpoint.exists():
@@ -137,13 +123,13 @@ class TrainingRun:
         self, index: int, config: TrainConfig, before: list[tuple[StageConfig, nn.Module]]
     ) -> VertexSource:
         if index == 0:
-            return self.noise
+            return self.corpus.source
         self._say(f"stage {index + 1}: denoising {self.recipe.pool_size} meshes with the stages before")
         folder = self.folder / f"stage{index + 1}.pool"
         return DenoisedPool(
             folder,
-            self.noise,
-            self.shapes,
+            self.corpus.source,
+            self.corpus.shapes,
             before,
             self.recipe.pool_size,
             self.recipe.seed,
@@ -162,17 +148,13 @@ class TrainingRun:
             return earlier[-1][1].state_dict()
         return None
 
-    def _validation_input(
-        self, shape: CleanShape, config: TrainConfig, before: list[tuple[StageConfig, nn.Module]]
-    ) -> NDArray[np.float64]:
-        noisy = noisy_vertices(shape, VALIDATION_NOISE)
-        return run_stages(shape, noisy, before, 0, self.device, config.precision)
-
-    def _validate(self, trainer: Trainer, config: TrainConfig, starts: list[NDArray[np.float64]]) -> float:
-        """Mean E_a of the averaged weights' normals on the validation shapes, in degrees."""
+    def _validate(
+        self, trainer: Trainer, config: TrainConfig, starts: list[tuple[CleanShape, NDArray[np.float64]]]
+    ) -> float:
+        """Mean E_a of the averaged weights' normals on the validation meshes, in degrees."""
         network = evaluation_copy(trainer.network, trainer.average.state)
         errors = []
-        for shape, vertices in zip(self.validation, starts, strict=True):
+        for shape, vertices in starts:
             prediction = predict_normals(shape.topology, vertices, config.stage, network, device=self.device)
             errors.append(float(np.nanmean(_geom.normal_angles(prediction.normals, shape.normals))))
         return float(np.mean(errors))
@@ -186,33 +168,6 @@ class TrainingRun:
     def _say(self, text: str) -> None:
         if self.on_event is not None:
             self.on_event(text)
-
-
-def load_clean_shapes(recipe: Recipe, shape_folder: Path, mesh_folder: Path | None) -> list[CleanShape]:
-    """Makes or reads the procedural shapes of a recipe, and adds the meshes of a folder.
-
-    Subfolders of ``mesh_folder`` named cad, smooth or feature give their meshes that kind; others are "feature".
-    A mesh of the folder is drawn as often as `MESH_WEIGHT` generated ones.
-    """
-    shapes = [
-        CleanShape(s.name, s.kind, s.vertices, s.faces)
-        for s in load_shapes(recipe.n_shapes, recipe.seed, shape_folder)
-    ]
-    if mesh_folder is not None:
-        for path in sorted(p for p in mesh_folder.rglob("*") if p.suffix in (".ply", ".obj", ".stl", ".off")):
-            arrays, _ = to_arrays(load(path))
-            kind = path.parent.name if path.parent.name in ("cad", "smooth", "feature") else "feature"
-            representatives, welded = _geom.weld(arrays.vertices)
-            shapes.append(
-                CleanShape(
-                    path.stem,
-                    kind,
-                    arrays.vertices[representatives],
-                    welded[arrays.faces],
-                    draw_weight=MESH_WEIGHT,
-                )
-            )
-    return shapes
 
 
 def adapted(recipe: Recipe, *, scale: float = 1.0, precision: str | None = None) -> Recipe:

@@ -1,0 +1,105 @@
+"""What a run learns from and what it is validated on: generated shapes, clean meshes, or pairs of noisy and clean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gcnd import _geom
+from gcnd.data.pairs import PairFiles, list_pairs, load_pair
+from gcnd.data.shape_cache import load_shapes
+from gcnd.mesh_io import SUPPORTED, load, to_arrays
+from gcnd.train.samples import CleanShape, FreshNoise, NoiseDraw, VertexSource, noisy_vertices
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from gcnd.train.recipes import Recipe
+
+VALIDATION_SEED = 1_000_000
+"""First seed of the procedural shapes that are validated on and never trained on."""
+
+N_VALIDATION = 6
+"""Meshes that a stage is validated on."""
+
+VALIDATION_NOISE = NoiseDraw("gaussian", 0.2, 0.0, 12345)
+
+MESH_WEIGHT = 4.0
+"""A mesh that the user gave is drawn as often as this many generated ones of its kind."""
+
+
+@dataclass(frozen=True)
+class Corpus:
+    """Meshes of one run.
+
+    Attributes:
+        shapes: Every clean mesh that ``source`` draws.
+        source: Gives noisy positions to train on.
+        validation: Clean meshes with noisy positions (V, 3), none of them trained on.
+    """
+
+    shapes: list[CleanShape]
+    source: VertexSource
+    validation: list[tuple[CleanShape, NDArray[np.float64]]]
+
+
+def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | None) -> Corpus:
+    """Makes or reads the procedural shapes of a recipe, adds the meshes of a folder, and draws noise for them.
+
+    Subfolders of ``mesh_folder`` named cad, smooth or feature give their meshes that kind; others are "feature".
+    """
+    shapes = [
+        CleanShape(s.name, s.kind, s.vertices, s.faces)
+        for s in load_shapes(recipe.n_shapes, recipe.seed, shape_folder)
+    ]
+    if mesh_folder is not None:
+        shapes += [
+            _given_shape(path) for path in sorted(mesh_folder.rglob("*")) if path.suffix.lower() in SUPPORTED
+        ]
+    held_out = [
+        CleanShape(s.name, s.kind, s.vertices, s.faces)
+        for s in load_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
+    ]
+    validation = [(shape, noisy_vertices(shape, VALIDATION_NOISE)) for shape in held_out]
+    return Corpus(shapes, FreshNoise(shapes), validation)
+
+
+def _given_shape(path: Path) -> CleanShape:
+    arrays, _ = to_arrays(load(path))
+    kind = path.parent.name if path.parent.name in ("cad", "smooth", "feature") else "feature"
+    representatives, welded = _geom.weld(arrays.vertices)
+    vertices, faces = arrays.vertices[representatives], welded[arrays.faces]
+    return CleanShape(path.stem, kind, vertices, faces, draw_weight=MESH_WEIGHT)
+
+
+class PairSource:
+    """Draws one of a dataset's noisy meshes; no noise is added."""
+
+    def __init__(self, pairs: list[tuple[CleanShape, NDArray[np.float64]]]):
+        self.pairs = pairs
+
+    def draw(self, rng: np.random.Generator) -> tuple[CleanShape, NDArray[np.float64]]:
+        """Returns a clean shape and the noisy positions (V, 3) that were measured or made of it."""
+        return self.pairs[int(rng.integers(len(self.pairs)))]
+
+
+def paired_corpus(folder: Path) -> Corpus:
+    """Reads a dataset of pairs: trains on its ``train`` half, validates on up to six meshes of its ``test`` half.
+
+    Raises:
+        ConfigError: The layout is not that of `gcnd.data.pairs.list_pairs`.
+        MeshError: A file cannot be read, or a pair's faces differ.
+    """
+    train, test = list_pairs(folder, "train"), list_pairs(folder, "test")
+    picked = [test[i] for i in np.linspace(0, len(test) - 1, min(N_VALIDATION, len(test))).astype(int)]
+    pairs = [_read(pair) for pair in train]
+    return Corpus([shape for shape, _ in pairs], PairSource(pairs), [_read(pair) for pair in picked])
+
+
+def _read(pair: PairFiles) -> tuple[CleanShape, NDArray[np.float64]]:
+    noisy, clean, faces = load_pair(pair)
+    return CleanShape(pair.noisy.stem, "feature", clean, faces), noisy
