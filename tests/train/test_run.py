@@ -118,6 +118,14 @@ def test_a_run_ends_with_weights_that_denoise(straight: Path) -> None:
     assert np.abs(vertices - noisy).max() > 1e-3
 
 
+def test_examples_show_the_cascade_at_work(straight: Path) -> None:
+    with np.load(straight / "example-1.npz") as example:
+        assert str(example["name"]) == "sphere"
+        assert np.array_equal(example["clean"], sphere().vertices)
+        cascade = load_cascade(str(straight / "tiny.safetensors"))
+        assert np.allclose(denoise_arrays(example["noisy"], example["faces"], cascade), example["denoised"])
+
+
 def test_the_weights_are_the_averages_of_each_stage(straight: Path) -> None:
     cascade = load_tensors(straight / "tiny.safetensors")[0]
     for number, name in enumerate(("stage1", "stage2")):
@@ -132,6 +140,7 @@ def test_the_weights_are_the_averages_of_each_stage(straight: Path) -> None:
 def test_the_log_says_how_it_went(straight: Path) -> None:
     lines = logged(straight)
     assert [(line["stage"], line["step"]) for line in lines] == [(1, 2), (1, 4), (1, 5), (2, 2), (2, 4)]
+    assert all(line.keys() >= {"time", "loss", "validation_e_a"} for line in lines)
     assert all(0 < line["loss"] < 2 and 0 < line["validation_e_a"] < 90 for line in lines)
     assert all(line["patches_per_second"] > 0 for line in lines)
 

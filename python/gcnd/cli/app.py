@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from gcnd.cli import denoise, evaluate, info, models, noise, train
+from gcnd.cli import denoise, evaluate, info, models, noise, train, train_report
 from gcnd.errors import GcndError
 
 __all__ = ["app", "main"]
@@ -28,6 +28,7 @@ app.command("evaluate")(evaluate.run)
 app.command("info")(info.run)
 app.command("models")(models.run)
 app.command("train")(train.run)
+app.command("train-report")(train_report.run)
 
 _EXIT_ERROR, _EXIT_INTERRUPTED = 1, 130
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from gcnd import _geom
+from gcnd.denoise import denoise_arrays
 from gcnd.errors import ConfigError
 from gcnd.nn.cascade import Cascade, CascadeConfig, written_out
 from gcnd.nn.networks import build_network
@@ -34,6 +35,11 @@ if TYPE_CHECKING:
     from gcnd.train.samples import CleanShape, VertexSource
 
 CHECKPOINT_SECONDS = 60.0
+
+LOG_EVERY = 100
+"""Steps between lines of the log; every line holds the mean loss since the one before."""
+
+N_EXAMPLES = 3
 
 
 class TrainingRun:
@@ -78,7 +84,22 @@ class TrainingRun:
             own.load_state_dict(network.state_dict())
         out = self.folder / f"{self.recipe.name}.safetensors"
         save_cascade(out, cascade, {"recipe": self.recipe.name})
+        self._save_examples(cascade)
         return out
+
+    def _save_examples(self, cascade: Cascade) -> None:
+        """Validation meshes before and after, for the report: ``example-<i>.npz``."""
+        ready = cascade.for_inference().to(self.device)
+        for number, (shape, noisy) in enumerate(self.corpus.validation[:N_EXAMPLES], start=1):
+            denoised = denoise_arrays(noisy, shape.faces, ready, device=self.device)
+            np.savez(
+                self.folder / f"example-{number}.npz",
+                name=shape.name,
+                faces=shape.faces,
+                clean=shape.vertices,
+                noisy=noisy,
+                denoised=denoised,
+            )
 
     def _train_stage(
         self, index: int, config: TrainConfig, earlier: list[tuple[StageConfig, nn.Module]]
@@ -102,15 +123,10 @@ class TrainingRun:
             if self.on_step is not None:
                 self.on_step(index, report)
             last = report.step == report.steps
-            if report.step % self.validate_every == 0 or last:
-                error = self._validate(trainer, config, starts)
-                self._log(
-                    stage=index + 1,
-                    step=report.step,
-                    loss=float(np.mean(losses)),
-                    validation_e_a=error,
-                    patches_per_second=report.patches_per_second,
-                )
+            validated = report.step % self.validate_every == 0 or last
+            if validated or report.step % LOG_EVERY == 0:
+                error = self._validate(trainer, config, starts) if validated else None
+                self._log(index, report, float(np.mean(losses)), error)
                 losses.clear()
             if last or time.monotonic() - saved > CHECKPOINT_SECONDS:
                 trainer.save(checkpoint)
@@ -159,11 +175,19 @@ class TrainingRun:
             errors.append(float(np.nanmean(_geom.normal_angles(prediction.normals, shape.normals))))
         return float(np.mean(errors))
 
-    def _log(self, **values: Any) -> None:
-        line = json.dumps({"time": time.time(), **values})
+    def _log(self, stage: int, report: StepReport, loss: float, error: float | None) -> None:
+        values = {
+            "time": time.time(),
+            "stage": stage + 1,
+            "step": report.step,
+            "loss": loss,
+            "patches_per_second": report.patches_per_second,
+        }
+        if error is not None:
+            values["validation_e_a"] = error
+            self._say(f"stage {stage + 1}  step {report.step}  loss {loss:.4f}  validation E_a {error:.3f}°")
         with (self.folder / "log.jsonl").open("a", encoding="utf-8") as file:
-            file.write(line + "\n")
-        self._say(line)
+            file.write(json.dumps(values) + "\n")
 
     def _say(self, text: str) -> None:
         if self.on_event is not None:
