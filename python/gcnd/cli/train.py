@@ -52,6 +52,7 @@ def run(
     import torch
 
     from gcnd.errors import ConfigError
+    from gcnd.nn.distributed import first_process_first, process_group
     from gcnd.train.corpus import generated_corpus, paired_corpus
     from gcnd.train.recipes import get_recipe
     from gcnd.train.run import TrainingRun, adapted
@@ -65,16 +66,25 @@ def run(
         raise ConfigError("--pairs trains on the pairs alone", hint="leave out --meshes and --shapes")
     recipe = adapted(get_recipe(preset), scale=scale, precision=precision)
     folder = out or Path("runs") / recipe.name
-    training = TrainingRun(
-        folder,
-        recipe,
-        paired_corpus(pairs) if pairs else generated_corpus(recipe, shapes or folder / "shapes", meshes),
-        start_from=start_from,
-        device=str(checked_device(device.value)),
-        on_step=_LineWriter(),
-        on_event=lambda text: print(text, file=sys.stderr, flush=True),
-    )
-    print(training.run())
+    with process_group(checked_device(device.value)) as own_device:
+        with first_process_first():
+            corpus = (
+                paired_corpus(pairs)
+                if pairs
+                else generated_corpus(recipe, shapes or folder / "shapes", meshes)
+            )
+        training = TrainingRun(
+            folder,
+            recipe,
+            corpus,
+            start_from=start_from,
+            device=str(own_device),
+            on_step=_LineWriter(),
+            on_event=lambda text: print(text, file=sys.stderr, flush=True),
+        )
+        weights = training.run()
+        if training.is_first:
+            print(weights)
 
 
 class _LineWriter:

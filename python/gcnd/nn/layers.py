@@ -10,6 +10,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+from gcnd.nn.distributed import mean_over_processes, n_processes
 from gcnd.nn.ops import gather_max, gather_sum, knn
 
 NormOrder = Literal["edge", "node"]
@@ -21,8 +22,19 @@ class NodeBatchNorm(nn.BatchNorm1d):
 
     def forward(self, x: Tensor) -> Tensor:
         """Maps (P, N, C) to (P, N, C)."""
+        if self.training and n_processes() > 1:
+            return self._over_all_processes(x)
         shape = x.shape
         return super().forward(x.reshape(-1, shape[-1])).view(shape)
+
+    def _over_all_processes(self, x: Tensor) -> Tensor:
+        flat = x.reshape(-1, x.shape[-1]).float()
+        mean, square = mean_over_processes(torch.stack([flat.mean(0), flat.square().mean(0)]))
+        var = (square - mean.square()).clamp_min(0)
+        _update_running_statistics(self, mean, var, len(flat) * n_processes())
+        scale = self.weight / torch.sqrt(var + self.eps)
+        out: Tensor = (x * scale + (self.bias - scale * mean)).to(x.dtype)
+        return out
 
     def scale_and_shift(self) -> tuple[Tensor, Tensor]:
         """Returns the affine map (C), (C) that evaluation mode applies: y = scale · x + shift."""
@@ -120,14 +132,15 @@ def edge_norm_statistics(
     flat = neighbors.reshape(neighbors.shape[0], -1).long()
     in_degree.scatter_add_(1, flat, torch.ones_like(flat, dtype=a.dtype))
     weight = in_degree.unsqueeze(-1)
-    mean_a = a.mean(dim=(0, 1))
-    mean_b = (b * weight).sum(dim=(0, 1)) / n_edges
+    mean_a, mean_b = mean_over_processes(
+        torch.stack([a.mean(dim=(0, 1)), (b * weight).sum(dim=(0, 1)) / n_edges])
+    )
     a_centered, b_centered = a - mean_a, b - mean_b
     cross = (a_centered * gather_sum(b_centered, neighbors)).sum(dim=(0, 1)) / n_edges
     var = a_centered.square().mean(dim=(0, 1)) + (b_centered.square() * weight).sum(dim=(0, 1)) / n_edges
-    var = (var + 2 * cross).clamp_min(0)
+    var = mean_over_processes(var + 2 * cross).clamp_min(0)
     mean = mean_a + mean_b
-    _update_running_statistics(norm, mean, var, n_edges)
+    _update_running_statistics(norm, mean, var, n_edges * n_processes())
     scale = norm.weight / torch.sqrt(var + norm.eps)
     return scale, norm.bias - scale * mean
 

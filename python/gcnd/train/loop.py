@@ -15,6 +15,7 @@ import torch
 
 from gcnd.errors import ConfigError
 from gcnd.nn.cascade import StageConfig
+from gcnd.nn.distributed import n_processes, process_rank
 from gcnd.nn.networks import build_network
 from gcnd.train.checkpoint import WeightAverage, optimizer_tensors, restore_optimizer, sub_state
 from gcnd.train.losses import LOSSES
@@ -92,8 +93,12 @@ def learning_rate(config: TrainConfig, step: int) -> float:
 
 
 def batches(source: VertexSource, config: TrainConfig, first_step: int) -> Iterator[Batch]:
-    """Yields the batch of every step from ``first_step`` on; one thread makes chunks ahead."""
-    per_chunk = config.chunk.n_patches // config.batch
+    """Yields this process's part of the batch of every step from ``first_step`` on; one thread makes chunks ahead.
+
+    Process r of n takes chunks r, r + n, r + 2 n, …
+    """
+    size = config.batch // n_processes()
+    per_chunk = config.chunk.n_patches // size
     queue: Queue[Batch | BaseException] = Queue(maxsize=2)
     stop = threading.Event()
 
@@ -101,7 +106,8 @@ def batches(source: VertexSource, config: TrainConfig, first_step: int) -> Itera
         index = first_step // per_chunk
         while not stop.is_set():
             try:
-                queue.put(make_chunk(source, config.stage.patch, config.chunk, config.seed, index))
+                number = index * n_processes() + process_rank()
+                queue.put(make_chunk(source, config.stage.patch, config.chunk, config.seed, number))
             except BaseException as error:
                 queue.put(error)
                 return
@@ -115,13 +121,24 @@ def batches(source: VertexSource, config: TrainConfig, first_step: int) -> Itera
             if isinstance(chunk, BaseException):
                 raise chunk
             for part in range(skip, per_chunk):
-                rows = slice(part * config.batch, (part + 1) * config.batch)
+                rows = slice(part * size, (part + 1) * size)
                 yield Batch(*(tensor[rows] for tensor in chunk))
             skip = 0
     finally:
         stop.set()
         while not queue.empty():
             queue.get_nowait()
+
+
+def _shared(network: nn.Module, device: torch.device) -> nn.Module:
+    """The network itself, or what averages its gradients over all processes."""
+    if n_processes() == 1:
+        return network
+    from torch.nn.parallel import DistributedDataParallel
+
+    # BatchNorm's statistics are the same everywhere already.
+    ids = [device.index] if device.type == "cuda" else None
+    return DistributedDataParallel(network, device_ids=ids, broadcast_buffers=False)
 
 
 class Trainer:
@@ -134,11 +151,17 @@ class Trainer:
         initial: dict[str, Tensor] | None = None,
         device: str = "cpu",
     ):
+        if config.batch % n_processes():
+            raise ConfigError(
+                f"a batch of {config.batch} cannot be shared evenly by {n_processes()} processes",
+                hint="start a number of processes that divides it",
+            )
         torch.manual_seed(config.seed)
         self.config, self.source, self.device = config, source, device
         self.network: nn.Module = build_network(config.stage.network).to(device)
         if initial is not None:
             self.network.load_state_dict(initial)
+        self.shared = _shared(self.network, torch.device(device))
         self.optimizer = torch.optim.AdamW(
             self.network.parameters(), lr=config.lr, weight_decay=config.weight_decay, fused=True
         )
@@ -196,8 +219,9 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(config, self.step)
         low = config.precision == "bfloat16"
-        with torch.autocast(self.device, dtype=torch.bfloat16) if low else nullcontext():
-            predicted = self.network(batch.features, batch.neighbors)
+        kind = torch.device(self.device).type
+        with torch.autocast(kind, dtype=torch.bfloat16) if low else nullcontext():
+            predicted = self.shared(batch.features, batch.neighbors)
         loss = LOSSES[config.loss](predicted.float(), batch)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]

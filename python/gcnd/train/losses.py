@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 from torch.nn import functional as F
 
+from gcnd.nn.distributed import mean_over_processes
 from gcnd.train.samples import Batch
 
 _CHORD_EPSILON = 1e-4
@@ -27,7 +28,7 @@ def chord_loss(predicted: Tensor, batch: Batch) -> Tensor:
     )
     difference = F.normalize(predicted, dim=-1) - target
     chord = (difference.square().sum(-1) + _CHORD_EPSILON**2).sqrt()
-    return (chord * weight).sum() / weight.sum().clamp_min(1e-12)
+    return (chord * weight).sum() / mean_over_processes(weight.sum()).clamp_min(1e-12)
 
 
 def mse_loss(predicted: Tensor, batch: Batch) -> Tensor:

@@ -14,6 +14,7 @@ from gcnd import _geom
 from gcnd.denoise import denoise_arrays
 from gcnd.errors import ConfigError
 from gcnd.nn.cascade import Cascade, CascadeConfig, written_out
+from gcnd.nn.distributed import first_process_first, process_rank
 from gcnd.nn.networks import build_network
 from gcnd.predict import fast_precision, predict_normals
 from gcnd.train.loop import StepReport, TrainConfig, Trainer
@@ -43,7 +44,7 @@ N_EXAMPLES = 3
 
 
 class TrainingRun:
-    """One run in one folder.
+    """One run in one folder; of several processes the first validates, logs and saves.
 
     Holds ``log.jsonl``, ``stage<i>.checkpoint.safetensors``, ``stage<i>.safetensors`` when a stage is done, and at
     the end ``<name>.safetensors``.
@@ -64,6 +65,7 @@ class TrainingRun:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.recipe, self.corpus, self.device = folder, recipe, corpus, device
         self.validate_every, self.on_step, self.on_event = validate_every, on_step, on_event
+        self.is_first = process_rank() == 0
         self.start = None if start_from is None else load_trainable(start_from)
 
     def run(self) -> Path:
@@ -73,7 +75,9 @@ class TrainingRun:
             path = self.folder / f"stage{index + 1}.safetensors"
             if not path.exists():
                 state = self._train_stage(index, config, trained)
-                save_tensors(path, state, {"config": asdict(config)})
+                with first_process_first():
+                    if self.is_first:
+                        save_tensors(path, state, {"config": asdict(config)})
             network: nn.Module = build_network(config.stage.network).to(self.device)
             network.load_state_dict(load_tensors(path)[0])
             trained.append((config.stage, network.eval()))
@@ -83,8 +87,9 @@ class TrainingRun:
         for own, (_, network) in zip(cascade.stages, trained, strict=True):
             own.load_state_dict(network.state_dict())
         out = self.folder / f"{self.recipe.name}.safetensors"
-        save_cascade(out, cascade, {"recipe": self.recipe.name})
-        self._save_examples(cascade)
+        if self.is_first:
+            save_cascade(out, cascade, {"recipe": self.recipe.name})
+            self._save_examples(cascade)
         return out
 
     def _save_examples(self, cascade: Cascade) -> None:
@@ -106,9 +111,10 @@ class TrainingRun:
     ) -> dict[str, torch.Tensor]:
         before = written_out(earlier)
         source = self._source(index, config, before)
+        validated = self.corpus.validation if self.is_first else []
         starts = [
             (shape, run_stages(shape, noisy, before, 0, self.device, config.precision))
-            for shape, noisy in self.corpus.validation
+            for shape, noisy in validated
         ]
         trainer = Trainer(config, source, self._initial_weights(index, config, earlier), self.device)
         checkpoint = self.folder / f"stage{index + 1}.checkpoint.safetensors"
@@ -119,6 +125,8 @@ class TrainingRun:
 
         def after_step(report: StepReport) -> None:
             nonlocal saved
+            if not self.is_first:
+                return
             losses.append(report.loss)
             if self.on_step is not None:
                 self.on_step(index, report)
@@ -142,16 +150,17 @@ class TrainingRun:
             return self.corpus.source
         self._say(f"stage {index + 1}: denoising {self.recipe.pool_size} meshes with the stages before")
         folder = self.folder / f"stage{index + 1}.pool"
-        return DenoisedPool(
-            folder,
-            self.corpus.source,
-            self.corpus.shapes,
-            before,
-            self.recipe.pool_size,
-            self.recipe.seed,
-            self.device,
-            config.precision,
-        )
+        with first_process_first():
+            return DenoisedPool(
+                folder,
+                self.corpus.source,
+                self.corpus.shapes,
+                before,
+                self.recipe.pool_size,
+                self.recipe.seed,
+                self.device,
+                config.precision,
+            )
 
     def _initial_weights(
         self, index: int, config: TrainConfig, earlier: list[tuple[StageConfig, nn.Module]]
@@ -190,7 +199,7 @@ class TrainingRun:
             file.write(json.dumps(values) + "\n")
 
     def _say(self, text: str) -> None:
-        if self.on_event is not None:
+        if self.on_event is not None and self.is_first:
             self.on_event(text)
 
 

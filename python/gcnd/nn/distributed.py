@@ -1,0 +1,76 @@
+"""What several processes that train one network share; with one process everything here does nothing.
+
+Every process works on its own part of a batch. Means over the batch, as BatchNorm needs them, are taken over all
+processes, so that the gradients are those of one process on the whole batch.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+from torch import distributed as dist
+
+from gcnd.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+def n_processes() -> int:
+    """Returns how many processes train together."""
+    return dist.get_world_size() if dist.is_available() and dist.is_initialized() else 1
+
+
+def process_rank() -> int:
+    """Returns which of them this is; the first one, 0, also validates, logs and saves."""
+    return dist.get_rank() if n_processes() > 1 else 0
+
+
+def mean_over_processes(x: Tensor) -> Tensor:
+    """Averages a tensor over all processes; gradients flow back to every one of them."""
+    if n_processes() == 1:
+        return x
+    from torch.distributed.nn.functional import all_reduce
+
+    total: Tensor = all_reduce(x)  # type: ignore[no-untyped-call]
+    return total / n_processes()
+
+
+@contextmanager
+def first_process_first() -> Iterator[None]:
+    """Lets the first process through before the others, which then find on disk what it made."""
+    if n_processes() > 1 and process_rank() > 0:
+        dist.barrier()
+    yield
+    if n_processes() > 1 and process_rank() == 0:
+        dist.barrier()
+
+
+@contextmanager
+def process_group(device: torch.device) -> Iterator[torch.device]:
+    """Joins the processes that torchrun started, and gives this one's device; alone, it gives ``device``.
+
+    Raises:
+        ConfigError: More processes on this machine than CUDA devices.
+    """
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+        yield device
+        return
+    if device.type == "cuda":
+        local_rank, n_devices = int(os.environ["LOCAL_RANK"]), torch.cuda.device_count()
+        if local_rank >= n_devices:
+            raise ConfigError(
+                f"process {local_rank} of this machine has no CUDA device of its own, there are {n_devices}",
+                hint=f"torchrun --nproc-per-node {n_devices}",
+            )
+        device = torch.device("cuda", local_rank)
+        torch.cuda.set_device(device)
+    dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+    try:
+        yield device
+    finally:
+        dist.destroy_process_group()

@@ -1,0 +1,56 @@
+"""What each process of tests/train/test_distributed.py runs."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import distributed as dist
+from train_cases import TRAIN, clean, cube, sphere
+
+from gcnd.nn.distributed import process_rank
+from gcnd.nn.networks import NetworkConfig
+from gcnd.train.loop import TrainConfig, Trainer
+from gcnd.train.samples import Batch, FreshNoise
+
+PAPER_LIKE = NetworkConfig("centre", 17, (8,), (8, 12), 16, (12, 8), 4, "edge")
+
+
+def config_of(name: str) -> TrainConfig:
+    """Our network with the chord loss, or the paper's form with BatchNorm on the edges and the squared loss."""
+    if name == "nodes":
+        return TRAIN
+    stage = replace(TRAIN.stage, network=PAPER_LIKE, patches_per_face=1.0)
+    return replace(TRAIN, stage=stage, loss="mse")
+
+
+def one_step(name: str, batch: Batch) -> dict[str, torch.Tensor]:
+    """Gradients and BatchNorm statistics after one step on a batch."""
+    trainer = Trainer(config_of(name), FreshNoise([clean(sphere()), clean(cube())]))
+    torch.manual_seed(1)
+    for parameter in trainer.network.parameters():
+        # The last layer starts at zero, which would hide most gradients.
+        torch.nn.init.normal_(parameter, std=0.3)
+    trainer._one_step(batch)
+    gradients = {f"gradient.{k}": p.grad for k, p in trainer.network.named_parameters() if p.grad is not None}
+    statistics = {k: v for k, v in trainer.network.named_buffers() if "running" in k}
+    return {**gradients, **statistics}
+
+
+def main(folder: Path, name: str) -> None:
+    """Takes this process's half of the stored batch and stores what one step makes of it."""
+    dist.init_process_group("gloo")
+    whole = load_file(folder / "batch.safetensors")
+    half = slice(process_rank(), None, dist.get_world_size())
+    batch = Batch(*(whole[field][half].contiguous() for field in Batch._fields))
+    save_file(one_step(name, batch), folder / f"{name}.{process_rank()}.safetensors")
+    dist.destroy_process_group()
+
+
+if __name__ == "__main__":
+    assert "RANK" in os.environ
+    main(Path(sys.argv[1]), sys.argv[2])

@@ -1,0 +1,93 @@
+"""Two processes give the gradients of one on the same data, and train to weights together."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from distributed_cases import one_step
+from safetensors.torch import load_file, save_file
+from test_run import write_dataset
+from train_cases import CHUNK, STAGE, clean, cube, sphere
+
+from gcnd.nn import distributed
+from gcnd.nn.distributed import mean_over_processes, n_processes, process_group, process_rank
+from gcnd.train.loop import Trainer
+from gcnd.train.samples import Batch, FreshNoise, make_chunk
+from gcnd.weights import load_cascade
+
+HERE = Path(__file__).parent
+
+
+def torchrun(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [
+        sys.executable,
+        "-m",
+        "torch.distributed.run",
+        "--standalone",
+        "--nproc-per-node",
+        "2",
+        *arguments,
+    ]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300)
+
+
+@pytest.mark.parametrize("name", ["nodes", "paper"])
+def test_gradients_equal_those_of_one_process(tmp_path: Path, name: str) -> None:
+    source = FreshNoise([clean(sphere()), clean(cube())])
+    batch = make_chunk(source, STAGE.patch, CHUNK, seed=3, index=0)
+    # Uneven weights in the halves: each half's own mean would not do.
+    batch.weight[::2] *= 0.25
+    save_file(dict(zip(Batch._fields, batch, strict=True)), tmp_path / "batch.safetensors")
+    done = torchrun(str(HERE / "distributed_cases.py"), str(tmp_path), name, cwd=HERE)
+    assert done.returncode == 0, done.stderr
+    alone = one_step(name, batch)
+    for rank in range(2):
+        together = load_file(tmp_path / f"{name}.{rank}.safetensors")
+        assert together.keys() == alone.keys()
+        assert sum(float(value.abs().max()) > 1e-6 for value in alone.values()) > 20
+        for key, expected in alone.items():
+            scale = float(expected.abs().max()) + 1e-12
+            assert float((together[key] - expected).abs().max()) < 2e-4 * scale, key
+
+
+def test_two_processes_train_a_cascade_and_go_on(tmp_path: Path) -> None:
+    write_dataset(tmp_path / "data")
+    arguments = ["-m", "gcnd.train", "--pairs", str(tmp_path / "data"), "--scale", "1e-9"]
+    arguments += ["--out", str(tmp_path / "run"), "--precision", "float32"]
+    done = torchrun(*arguments, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [str(tmp_path / "run" / "default.safetensors")]
+    cascade = load_cascade(done.stdout.strip())
+    first = (tmp_path / "run" / "default.safetensors").read_bytes()
+    assert len(cascade.passes()) == len(cascade.config.stages)
+    log = (tmp_path / "run" / "log.jsonl").read_text(encoding="utf-8").splitlines()
+    assert len(log) == len(cascade.config.stages)
+    again = torchrun(*arguments, cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert (tmp_path / "run" / "default.safetensors").read_bytes() == first
+
+
+def test_a_batch_that_cannot_be_shared_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    from train_cases import TRAIN
+
+    from gcnd.errors import ConfigError
+    from gcnd.train import loop
+
+    monkeypatch.setattr(loop, "n_processes", lambda: 3)
+    with pytest.raises(ConfigError, match="a batch of 8 cannot be shared evenly by 3 processes"):
+        Trainer(TRAIN, FreshNoise([clean(sphere())]))
+
+
+def test_one_process_is_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("WORLD_SIZE", raising=False)
+    with process_group(torch.device("cpu")) as device:
+        assert device == torch.device("cpu")
+        assert (n_processes(), process_rank()) == (1, 0)
+        x = torch.tensor([1.0, 2.0])
+        assert mean_over_processes(x) is x
+        with distributed.first_process_first():
+            pass
