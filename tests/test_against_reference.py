@@ -121,6 +121,20 @@ def test_eight_channels_are_the_first_eight(case: Case) -> None:
     np.testing.assert_array_equal(features, extract(case, 64)["features"][..., :8])
 
 
+def test_scale_space_follows_the_other_channels(case: Case) -> None:
+    got = extract(case, 64, scale_space=True)
+    np.testing.assert_array_equal(got["features"][..., :17], extract(case, 64)["features"])
+    world = np.einsum(
+        "prc,pnkc->pnkr", got["world_from_patch"], got["features"][..., 17:].reshape(-1, 64, 3, 3)
+    )
+    smoothed = case.vertices
+    for iteration in range(1, 17):
+        smoothed = filters.average_of_centroids(smoothed, case.faces)
+        if iteration in (1, 4, 16):
+            want = meshes.face_geometry(smoothed, case.faces)[0][got["face_ids"]]
+            np.testing.assert_allclose(world[:, :, (1, 4, 16).index(iteration)], want, rtol=0, atol=2e-6)
+
+
 @pytest.mark.parametrize("n_nodes", [16, 200])
 def test_random_budget_draws_from_the_patch(case: Case, n_nodes: int) -> None:
     reference = PatchReference(case.vertices, case.faces)

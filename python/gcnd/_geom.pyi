@@ -42,6 +42,7 @@ class PatchExtractor:
         voting_region: Literal["patch", "two_ring"] = "patch",
         sigma_vote: float = ...,
         vertex_offsets: bool = True,
+        scale_space: bool = False,
     ) -> None: ...
     @property
     def n_channels(self) -> int: ...

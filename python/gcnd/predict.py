@@ -102,6 +102,7 @@ def make_extractor(
         voting_region=patch.voting_region,
         sigma_vote=patch.sigma_vote,
         vertex_offsets=patch.vertex_offsets,
+        scale_space=patch.scale_space,
     )
 
 

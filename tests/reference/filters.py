@@ -86,6 +86,16 @@ def update_vertices(vertices: Floats, faces: Ints, normals: Floats, iterations: 
     return current
 
 
+def average_of_centroids(vertices: Floats, faces: Ints) -> Floats:
+    """Every vertex at the mean of the centroids of its faces, one face after the other."""
+    total, count = np.zeros_like(vertices), np.zeros(len(vertices))
+    for face in faces:
+        for v in face:
+            total[v] += vertices[face].mean(axis=0)
+            count[v] += 1
+    return np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], vertices)
+
+
 def normal_error(result: Floats, truth: Floats) -> float:
     """E_a in degrees: the mean of acos(n_i · ñ_i)."""
     angles = [math.acos(min(1.0, max(-1.0, float(a @ b)))) for a, b in zip(result, truth, strict=True)]

@@ -19,12 +19,13 @@ from gcnd.denoise import denoise, denoise_arrays
 from gcnd.errors import ConfigError
 from gcnd.mesh_io import save
 from gcnd.nn.cascade import Cascade, RefinementConfig
+from gcnd.nn.networks import build_network
 from gcnd.train import corpus as corpus_module
 from gcnd.train import run as run_module
 from gcnd.train.corpus import generated_corpus, paired_corpus
 from gcnd.train.loop import StepReport
 from gcnd.train.recipes import RECIPES, Recipe, get_recipe
-from gcnd.train.run import TrainingRun, adapted
+from gcnd.train.run import TrainingRun, adapted, widened
 from gcnd.weights import load_cascade
 from gcnd.weights.files import load_tensors
 
@@ -198,6 +199,27 @@ def test_a_run_starts_from_given_weights_stage_by_stage(straight: Path, tmp_path
         weights = [key for key in given if key.endswith("weight") and "norm" not in key]
         assert weights
         assert all(torch.equal(found[key], given[key]) for key in weights)
+
+
+def test_weights_widened_for_new_channels_answer_the_same() -> None:
+    wider = replace(
+        STAGE, network=replace(STAGE.network, in_channels=26), patch=replace(STAGE.patch, scale_space=True)
+    )
+    config = replace(TRAIN, stage=wider)
+    torch.manual_seed(5)
+    narrow = build_network(STAGE.network)
+    torch.nn.init.normal_(narrow.out.weight)
+    state = widened(narrow.state_dict(), STAGE.network, config)
+    assert state is not None
+    wide = build_network(wider.network)
+    wide.load_state_dict(state)
+    features = torch.randn(3, 32, 26)
+    neighbors = torch.randint(0, 32, (3, 32, 3), dtype=torch.int32)
+    expected = narrow.eval()(features[..., :17], neighbors)
+    assert torch.allclose(wide.eval()(features, neighbors), expected, atol=1e-5)
+    assert widened(wide.state_dict(), wider.network, TRAIN) is None
+    other = replace(TRAIN, stage=replace(STAGE, network=replace(STAGE.network, knn_k=5)))
+    assert widened(narrow.state_dict(), STAGE.network, other) is None
 
 
 # --- what a run is made of -----------------------------------------------------------------------------

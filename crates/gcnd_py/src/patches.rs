@@ -52,7 +52,8 @@ fn budget_from(name: &str, seed: u64) -> PyResult<Budget> {
 impl PyPatchExtractor {
     #[new]
     #[pyo3(signature = (topology, vertices, *, patch_scale=4.0, n_nodes=64, budget="nearest", seed=0,
-                        voting_region="patch", sigma_vote=1.0 / 3.0, vertex_offsets=true))]
+                        voting_region="patch", sigma_vote=1.0 / 3.0, vertex_offsets=true,
+                        scale_space=false))]
     #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
     fn new(
         py: Python<'_>,
@@ -65,6 +66,7 @@ impl PyPatchExtractor {
         voting_region: &str,
         sigma_vote: f64,
         vertex_offsets: bool,
+        scale_space: bool,
     ) -> PyResult<Self> {
         let params = PatchParams {
             patch_scale,
@@ -73,6 +75,7 @@ impl PyPatchExtractor {
             voting_region: voting_region_from(voting_region)?,
             sigma_vote,
             vertex_offsets,
+            scale_space,
         };
         let vertices = arrays::points("vertices", &vertices)?.to_vec();
         let mesh = Mesh { topology: Arc::clone(&topology.inner), vertices };

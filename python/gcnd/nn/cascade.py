@@ -24,6 +24,8 @@ class PatchConfig:
         voting_region: Faces that vote for the frame: all of the "patch" (text) or the "two_ring".
         sigma_vote: σ of the voting weight in units of r. Choice: docs/choices.md#voting-sigma.
         vertex_offsets: Whether nine channels of vertex offsets follow the paper's eight.
+        scale_space: Whether nine channels follow with the face's normals once the mesh is smoothed by 1, 4 and 16
+            iterations. Choice: docs/choices.md#features.
     """
 
     patch_scale: float = 4.0
@@ -32,11 +34,12 @@ class PatchConfig:
     voting_region: Literal["patch", "two_ring"] = "patch"
     sigma_vote: float = 1 / 3
     vertex_offsets: bool = True
+    scale_space: bool = False
 
     @property
     def n_channels(self) -> int:
-        """Channels of the features: 8, or 17 with vertex offsets."""
-        return 17 if self.vertex_offsets else 8
+        """Channels of the features: 8, and 9 each for vertex offsets and the scale space."""
+        return 8 + 9 * self.vertex_offsets + 9 * self.scale_space
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """The networks: the paper's, which returns the centre's normal, and ours, which returns every node's.
 
 Input of both: features (P, N, C_in) as patch extraction writes them, and static neighbours (P, N, 3), int32.
-Channels of the features: centroid (3), normal (3), area, degree, then the vertex offsets (9) where present.
+Channels of the features: centroid (3), normal (3), area, degree, then the vertex offsets (9) and the normals of the
+scale space (9) where present.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class NetworkConfig:
 
     Attributes:
         architecture: "centre" (the paper's) or "nodes" (ours).
-        in_channels: 8, or 17 with vertex offsets.
+        in_channels: 8, and 9 each for vertex offsets and the scale space.
         static_channels: Channels of the static EdgeConv layers (L_e); empty for a dynamic-only network.
         dynamic_channels: Channels of the dynamic EdgeConv layers (L_d); empty for a static-only network.
         pool_channels: Channels of the layer before pooling.
@@ -52,8 +53,8 @@ class NetworkConfig:
             raise ConfigError(f"architecture is {self.architecture!r}, allowed: 'centre' or 'nodes'")
         if self.norm_order not in ("edge", "node"):
             raise ConfigError(f"norm_order is {self.norm_order!r}, allowed: 'edge' or 'node'")
-        if self.in_channels not in (8, 17):
-            raise ConfigError(f"in_channels is {self.in_channels}, allowed: 8 or 17")
+        if self.in_channels not in (8, 17, 26):
+            raise ConfigError(f"in_channels is {self.in_channels}, allowed: 8, 17 or 26")
         if not self.static_channels and not self.dynamic_channels:
             raise ConfigError("a network needs at least one static or dynamic layer")
         if not self.head_channels:

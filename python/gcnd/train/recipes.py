@@ -11,7 +11,11 @@ from gcnd.train.loop import TrainConfig
 from gcnd.train.samples import ChunkConfig
 
 DEFAULT_NETWORK = NetworkConfig(
-    static_channels=(64, 64), dynamic_channels=(64, 64, 128), pool_channels=192, head_channels=(128, 64)
+    in_channels=26,
+    static_channels=(64, 64),
+    dynamic_channels=(64, 64, 128),
+    pool_channels=192,
+    head_channels=(128, 64),
 )
 """Ours: most of its products in the graph layers, few in the layers before pooling and in the head."""
 
@@ -49,7 +53,7 @@ def _default(*steps: int) -> Recipe:
         "patch network with a normal for every node, three stages",
         tuple(
             TrainConfig(
-                StageConfig(DEFAULT_NETWORK, PatchConfig(), patches_per_face=share),
+                StageConfig(DEFAULT_NETWORK, PatchConfig(scale_space=True), patches_per_face=share),
                 steps=n,
                 lr=2e-3 if index == 0 else 1e-3,
                 seed=index,

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from torch import nn
 
     from gcnd.nn.cascade import StageConfig
+    from gcnd.nn.networks import NetworkConfig
     from gcnd.train.corpus import Corpus
     from gcnd.train.recipes import Recipe
     from gcnd.train.samples import CleanShape, VertexSource
@@ -167,8 +168,9 @@ class TrainingRun:
     ) -> dict[str, torch.Tensor] | None:
         """Weights of the same stage in ``start_from``, else of the stage before, where layouts agree."""
         if self.start is not None and index < len(self.start.stages):
-            same = self.start.config.stages[index].network == config.stage.network
-            return self.start.stages[index].state_dict() if same else None
+            return widened(
+                self.start.stages[index].state_dict(), self.start.config.stages[index].network, config
+            )
         if self.recipe.warm_start and earlier and earlier[-1][0].network == config.stage.network:
             return earlier[-1][1].state_dict()
         return None
@@ -201,6 +203,22 @@ class TrainingRun:
     def _say(self, text: str) -> None:
         if self.on_event is not None and self.is_first:
             self.on_event(text)
+
+
+def widened(
+    state: dict[str, torch.Tensor], network: NetworkConfig, config: TrainConfig
+) -> dict[str, torch.Tensor] | None:
+    """Fits weights of a network to one of the same layout that may see more channels; ``None`` if it is another.
+
+    The weights of the new channels are zero, so that both networks answer the same.
+    """
+    wanted = config.stage.network
+    if replace(network, in_channels=wanted.in_channels) != wanted or network.in_channels > wanted.in_channels:
+        return None
+    lack = wanted.in_channels - network.in_channels
+    first = "static" if wanted.static_channels else "dynamic"
+    names = [f"trunk.{first}.0.{part}.weight" for part in ("center", "neighbor")]
+    return state | {name: torch.nn.functional.pad(state[name], (0, lack)) for name in names}
 
 
 def adapted(recipe: Recipe, *, scale: float = 1.0, precision: str | None = None) -> Recipe:

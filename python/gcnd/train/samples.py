@@ -199,7 +199,8 @@ def flip_frames(batch: Batch, rng: np.random.Generator) -> Batch:
     """
     turn = torch.from_numpy(np.where(rng.random(len(batch.features)) < 0.5, -1.0, 1.0).astype(np.float32))
     turn = turn[:, None, None]
-    for start in (0, 3, 8, 11, 14)[: 2 if batch.features.shape[-1] == 8 else 5]:
+    # Centroid and normal, then vectors only.
+    for start in (0, 3, *range(8, batch.features.shape[-1], 3)):
         batch.features[..., start + 1 : start + 3] *= turn
     batch.target[..., 1:] *= turn
     return batch

@@ -1,6 +1,7 @@
 //! The graph of a patch (paper Sec. 4.3): node features and static neighbours.
 
 use super::id_slots::{IdSlots, NO_SLOT};
+use super::scale_space::SCALES;
 use super::select::Candidate;
 use super::voting::LocalFace;
 use crate::topology::Topology;
@@ -19,6 +20,8 @@ pub(crate) struct PatchView<'a> {
     pub(crate) topology: &'a Topology,
     pub(crate) vertices: &'a [DVec3],
     pub(crate) centroids: &'a [DVec3],
+    /// Normals at several scales, empty where nodes do not carry them.
+    pub(crate) scale_space: &'a [[DVec3; SCALES.len()]],
     /// The faces of the patch, the centre first, and the same faces in the units of the patch.
     pub(crate) candidates: &'a [Candidate],
     pub(crate) locals: &'a [LocalFace],
@@ -66,7 +69,8 @@ pub(crate) fn write_graph(view: &PatchView<'_>, node_of_face: &mut IdSlots, row:
     row.mask[n_real..].fill(0);
 }
 
-/// Channels: centroid (3), normal (3), area (1), degree (1), and three vertex offsets (9) where there is room.
+/// Channels: centroid (3), normal (3), area (1), degree (1), three vertex offsets (9) where there is room, and the
+/// normals of the scale space (9) where there is one.
 #[inline]
 fn write_features(view: &PatchView<'_>, face_id: u32, local: &LocalFace, features: &mut [f32]) {
     let axes = &view.world_from_patch;
@@ -74,9 +78,17 @@ fn write_features(view: &PatchView<'_>, face_id: u32, local: &LocalFace, feature
     write_rotated(axes, local.normal, &mut features[3..6]);
     features[6] = local.area as f32;
     features[7] = view.topology.edge_neighbors(face_id as usize).len() as f32 / 3.0;
-    if let Some(offsets) = features.get_mut(8..17) {
+    let rest = &mut features[8..];
+    let n_scaled = if view.scale_space.is_empty() { 0 } else { 3 * SCALES.len() };
+    let (offsets, normals) = rest.split_at_mut(rest.len() - n_scaled);
+    if !offsets.is_empty() {
         for (offset, out) in vertex_offsets(view, face_id).into_iter().zip(offsets.chunks_exact_mut(3)) {
             write_rotated(axes, offset, out);
+        }
+    }
+    if let Some(at_scales) = view.scale_space.get(face_id as usize) {
+        for (normal, out) in at_scales.iter().zip(normals.chunks_exact_mut(3)) {
+            write_rotated(axes, *normal, out);
         }
     }
 }

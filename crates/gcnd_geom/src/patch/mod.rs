@@ -6,6 +6,7 @@
 //! | which frame | `voting` | Eqs. 2–3 |
 //! | how many nodes | `budget` | Sec. 5 |
 //! | features and static neighbours | `graph` | Sec. 4.3 |
+//! | normals at several scales | `scale_space` | – |
 //! | flat, edge, corner, transitional | [`classes`] | Sec. 5.2 |
 //! | overlapping patches and their average | [`cover`] | – |
 //!
@@ -18,6 +19,7 @@ pub mod cover;
 mod graph;
 mod id_slots;
 mod params;
+mod scale_space;
 mod select;
 mod symmetric_eigen;
 mod voting;
@@ -33,6 +35,7 @@ use crate::topology::Topology;
 use glam::{DMat3, DVec3};
 use graph::{PatchRow, PatchView, write_graph};
 use rayon::prelude::*;
+use scale_space::{SCALES, scale_space_normals};
 use select::{PatchScale, SelectScratch, VertexTree};
 use symmetric_eigen::Symmetric3;
 use voting::LocalFace;
@@ -66,6 +69,8 @@ pub struct PatchExtractor<'a> {
     vertices: &'a [DVec3],
     geometry: FaceGeometry,
     tree: VertexTree,
+    /// Normals of every face at several scales; empty without them.
+    scale_space: Vec<[DVec3; SCALES.len()]>,
     params: PatchParams,
 }
 
@@ -74,7 +79,8 @@ pub struct PatchExtractor<'a> {
 pub struct PatchBuffers<'a> {
     /// (P, N, C) without unit, in the patch frame. Channels: 0–2 centroid (c_j − c_i)/r; 3–5 normal n_j;
     /// 6 area a_j/ā, ā the mean over the centre and its 2-ring; 7 degree, edge neighbours/3; and with vertex
-    /// offsets 8–16, (v − c_j)/r of the three vertices in the face's order, first the one nearest to c_i.
+    /// offsets 8–16, (v − c_j)/r of the three vertices in the face's order, first the one nearest to c_i; with a
+    /// scale space 9 more, the face's normals once the mesh is smoothed by 1, 4 and 16 iterations.
     pub features: &'a mut [f32],
     /// (P, N, 3) nodes of the patch across the edges of each node's face; the node itself where there is none.
     pub neighbors: &'a mut [i32],
@@ -119,7 +125,9 @@ impl<'a> PatchExtractor<'a> {
         check_vertices(vertices)?;
         let geometry = FaceGeometry::compute(vertices, topology.faces());
         let tree = VertexTree::new(topology, vertices);
-        Ok(Self { topology, vertices, geometry, tree, params })
+        let scale_space =
+            if params.scale_space { scale_space_normals(topology, vertices) } else { Vec::new() };
+        Ok(Self { topology, vertices, geometry, tree, scale_space, params })
     }
 
     /// Normals, centroids and areas of the mesh.
@@ -132,7 +140,7 @@ impl<'a> PatchExtractor<'a> {
         &self.params
     }
 
-    /// Channels of [`PatchBuffers::features`]: 8, or 17 with vertex offsets.
+    /// Channels of [`PatchBuffers::features`]: 8, and 9 each for vertex offsets and the scale space.
     pub fn n_channels(&self) -> usize {
         self.params.n_channels()
     }
@@ -210,6 +218,7 @@ impl<'a> PatchExtractor<'a> {
             topology: self.topology,
             vertices: self.vertices,
             centroids: &self.geometry.centroids,
+            scale_space: &self.scale_space,
             candidates: &select.candidates,
             locals,
             picks,
@@ -225,7 +234,7 @@ impl<'a> PatchExtractor<'a> {
     /// Fills `scratch` with the patch of a face, in mesh ids and in the units of the patch.
     fn select_into(&self, face_id: u32, scratch: &mut PatchScratch) -> PatchScale {
         let PatchScratch { select, locals, .. } = scratch;
-        let Self { topology, vertices, geometry, tree, params } = self;
+        let Self { topology, vertices, geometry, tree, params, .. } = self;
         let scale = select::patch_scale_of(topology, geometry, face_id, params.patch_scale, select);
         select::select_patch(topology, geometry, vertices, tree, face_id, scale.radius, select);
         let to_local = self.to_local(face_id, &scale);

@@ -42,8 +42,10 @@ pub struct PatchParams {
     pub voting_region: VotingRegion,
     /// σ of Eq. 2 in units of the patch radius, above zero.
     pub sigma_vote: f64,
-    /// Whether nodes carry the offsets of their three vertices (17 channels) or not (8).
+    /// Whether nodes carry the offsets of their three vertices (9 more channels).
     pub vertex_offsets: bool,
+    /// Whether nodes carry the normals of the mesh at three scales (9 more channels).
+    pub scale_space: bool,
 }
 
 impl Default for PatchParams {
@@ -56,6 +58,7 @@ impl Default for PatchParams {
             voting_region: VotingRegion::Patch,
             sigma_vote: 1.0 / 3.0,
             vertex_offsets: true,
+            scale_space: false,
         }
     }
 }
@@ -82,8 +85,8 @@ impl PatchParams {
         check(sigma_ok, "sigma_vote", sigma_vote.to_string(), "a finite number above 0")
     }
 
-    /// Features of a node: 8, or 17 with vertex offsets.
+    /// Features of a node: 8, and 9 each for vertex offsets and the scale space.
     pub fn n_channels(&self) -> usize {
-        if self.vertex_offsets { 17 } else { 8 }
+        8 + 9 * usize::from(self.vertex_offsets) + 9 * usize::from(self.scale_space)
     }
 }

@@ -1,0 +1,99 @@
+//! The normals of a mesh at several scales: what a face looks like once its surroundings are averaged.
+
+use crate::face_geometry::normal_and_area;
+use crate::topology::Topology;
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Iterations after which the normals are taken.
+pub(crate) const SCALES: [usize; 3] = [1, 4, 16];
+
+/// Faces or vertices of one unit of parallel work.
+const CHUNK: usize = 4096;
+
+/// Unit normals of every face (F), at each of [`SCALES`], of the mesh smoothed by
+/// v_i ← 1 / |F_i| · Σ_{f ∈ F_i} c_f, with F_i the faces of v_i and c_f their centroids.
+///
+/// Where triangles are small against the noise their own normals say little, and these say more. A face that has no
+/// area when smoothed has a zero normal there; vertices without faces stay.
+///
+/// Choice: docs/choices.md#features.
+pub(crate) fn scale_space_normals(topology: &Topology, vertices: &[DVec3]) -> Vec<[DVec3; SCALES.len()]> {
+    let mut normals = vec![[DVec3::ZERO; SCALES.len()]; topology.n_faces()];
+    let mut centroids = vec![DVec3::ZERO; topology.n_faces()];
+    let mut current = vertices.to_vec();
+    let mut next = current.clone();
+    let mut done = 0;
+    for (scale, &iterations) in SCALES.iter().enumerate() {
+        for _ in done..iterations {
+            place_centroids(topology, &current, &mut centroids);
+            average(topology, &current, &centroids, &mut next);
+            std::mem::swap(&mut current, &mut next);
+        }
+        done = iterations;
+        normals.par_iter_mut().zip(topology.faces()).with_min_len(CHUNK).for_each(|(normals, face)| {
+            let [a, b, c] = face.map(|v| current[v as usize]);
+            normals[scale] = normal_and_area(a, b, c).0;
+        });
+    }
+    normals
+}
+
+fn place_centroids(topology: &Topology, vertices: &[DVec3], centroids: &mut [DVec3]) {
+    centroids.par_iter_mut().zip(topology.faces()).with_min_len(CHUNK).for_each(|(centroid, face)| {
+        let [a, b, c] = face.map(|v| vertices[v as usize]);
+        *centroid = a + ((b - a) + (c - a)) / 3.0;
+    });
+}
+
+fn average(topology: &Topology, current: &[DVec3], centroids: &[DVec3], next: &mut [DVec3]) {
+    next.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(vertex_id, moved)| {
+        let faces = topology.vertex_faces().row(vertex_id);
+        let start = current[vertex_id];
+        // Offsets from the vertex keep their digits far away from the origin.
+        let sum: DVec3 = faces.iter().map(|&face_id| centroids[face_id as usize] - start).sum();
+        *moved = if faces.is_empty() { start } else { start + sum / faces.len() as f64 };
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures;
+
+    #[test]
+    fn a_raised_vertex_by_hand() {
+        // The vertices of a tetrahedron all move to c + (m − c) / 9: its faces keep their normals.
+        let (vertices, faces) = fixtures::tetrahedron();
+        let topology = Topology::new(faces.clone(), 4).expect("valid");
+        let normals = scale_space_normals(&topology, &vertices);
+        for (face, at_scales) in faces.iter().zip(&normals) {
+            let [a, b, c] = face.map(|v| vertices[v as usize]);
+            for normal in at_scales {
+                assert!(normal.distance(normal_and_area(a, b, c).0) < 1e-9, "{normal}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_spike_fades_with_the_scale() {
+        let (mut vertices, faces) = fixtures::grid(20, 20);
+        let spike = 21 * 10 + 10;
+        vertices[spike].z = 1.0;
+        let topology = Topology::new(faces, vertices.len()).expect("valid");
+        let normals = scale_space_normals(&topology, &vertices);
+        let face_id = topology.vertex_faces().row(spike)[0] as usize;
+        let tilt = normals[face_id].map(|normal| normal.angle_between(DVec3::Z).to_degrees());
+        assert!(tilt[0] > 10.0 && tilt[0] < 45.0, "{tilt:?}");
+        assert!(tilt[1] < 0.6 * tilt[0] && tilt[2] < 0.6 * tilt[1], "{tilt:?}");
+        let far = normals[0];
+        assert!(far.iter().all(|normal| normal.distance(DVec3::Z) < 1e-12), "{far:?}");
+    }
+
+    #[test]
+    fn faces_without_area_and_vertices_without_faces_give_no_nan() {
+        let vertices = vec![DVec3::ZERO, DVec3::X, 2.0 * DVec3::X, DVec3::splat(7.0)];
+        let topology = Topology::new(vec![[0, 1, 2]], 4).expect("valid");
+        assert_eq!(scale_space_normals(&topology, &vertices), [[DVec3::ZERO; 3]]);
+    }
+}
