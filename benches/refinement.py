@@ -16,7 +16,7 @@ import numpy as np
 from gcnd import _geom
 from gcnd.data.shape_cache import load_shapes
 from gcnd.nn.cascade import Cascade, RefinementConfig
-from gcnd.predict import Prediction, predict_normals, refined
+from gcnd.predict import Prediction, fast_precision, predict_normals, refined
 from gcnd.train.corpus import VALIDATION_SEED
 from gcnd.train.samples import CleanShape
 from gcnd.weights import load_cascade
@@ -31,8 +31,12 @@ REFINEMENTS = {
     "m 4": RefinementConfig(4, 0.3),
     "m 12": RefinementConfig(12, 0.3),
     "m 12, σ_r 0.15": RefinementConfig(12, 0.15),
-    **{f"m 12, σ_r 0.15, k {k}": RefinementConfig(12, 0.15, k) for k in (0.7, 1.0, 1.5, 2.0, 3.0)},
-    **{f"m 12, σ_r 0.3, k {k}": RefinementConfig(12, 0.3, k) for k in (0.7, 1.0, 1.5, 2.0, 3.0)},
+    **{f"m 12, σ_r 0.15, k {k}": RefinementConfig(12, 0.15, k) for k in (1.0, 1.5, 2.0, 3.0)},
+    **{
+        f"m 12, σ_r 0.15, k {k}, s ≤ {limit}": RefinementConfig(12, 0.15, k, limit)
+        for k in (1.0, 1.5, 2.0, 3.0)
+        for limit in (0.01, 0.02, 0.03, 0.05)
+    },
 }
 
 
@@ -42,7 +46,9 @@ def last_prediction(
     """Positions before the last vertex update, the last stage's prediction, and the vertex iterations."""
     passes = cascade.passes()
     for index, (stage, network) in enumerate(passes):
-        prediction = predict_normals(shape.topology, vertices, stage, network, seed=index)
+        prediction = predict_normals(
+            shape.topology, vertices, stage, network, seed=index, precision=fast_precision("cpu")
+        )
         if index < len(passes) - 1:
             iterations = cascade.config.vertex_iterations
             vertices = _geom.update_vertices(shape.topology, vertices, prediction.normals, iterations)
@@ -62,11 +68,12 @@ def main() -> None:
         for level in LEVELS:
             noisy = shape.noise.sample(level=level, seed=NOISE_SEED)
             vertices, prediction, iterations = last_prediction(shape, noisy, cascade)
+            kind = f"{shape.kind}, decimated" if "decimated" in shape.name else shape.kind
             for name, refinement in REFINEMENTS.items():
                 normals = refined(shape.topology, vertices, prediction, refinement)
                 moved = _geom.update_vertices(shape.topology, vertices, normals, iterations)
                 angles = _geom.normal_angles(_geom.face_geometry(moved, shape.faces)[0], shape.normals)
-                errors[name].setdefault(shape.kind, []).append(float(np.nanmean(angles)))
+                errors[name].setdefault(kind, []).append(float(np.nanmean(angles)))
     kinds = sorted(next(iter(errors.values())))
     print("| refinement | " + " | ".join(kinds) + " |")
     print("|---|" + "---|" * len(kinds))

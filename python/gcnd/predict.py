@@ -174,11 +174,12 @@ def refined(
     m, sigma_r = refinement.iterations, refinement.sigma_r
     if refinement.tolerance is None:
         return _geom.refine_normals(topology, vertices, prediction.normals, iterations=m, sigma_r=sigma_r)
+    spread = np.minimum(prediction.spread, refinement.largest_spread or np.inf)
     return _geom.refine_consistent(
         topology,
         vertices,
         prediction.normals,
-        prediction.spread,
+        spread,
         iterations=m,
         sigma_r=sigma_r,
         tolerance=refinement.tolerance,

@@ -34,6 +34,7 @@ def test_config_survives_json() -> None:
 @pytest.mark.parametrize(("offsets", "channels"), [(True, 17), (False, 8)])
 def test_patch_channels(offsets: bool, channels: int) -> None:
     assert PatchConfig(vertex_offsets=offsets).n_channels == channels
+    assert PatchConfig(vertex_offsets=offsets, scale_space=True).n_channels == channels + 9
 
 
 @pytest.mark.parametrize(
@@ -90,6 +91,7 @@ def test_unknown_and_misshapen_fields_are_refused() -> None:
         ({"sigma_r": 0.0}, "sigma_r is 0.0"),
         ({"sigma_r": float("nan")}, "sigma_r is nan"),
         ({"tolerance": -0.5}, "tolerance is -0.5"),
+        ({"largest_spread": 0.0}, "largest_spread is 0.0"),
     ],
 )
 def test_refinement_out_of_range_is_named(changed: dict[str, float], named: str) -> None:

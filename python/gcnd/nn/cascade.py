@@ -100,11 +100,14 @@ class RefinementConfig:
         tolerance: Refine only where that moves normals no further than this many times what overlapping
             predictions disagree by; ``None`` refines everywhere, as the text does.
             Choice: docs/choices.md#refinement.
+        largest_spread: What overlapping predictions disagree by counts at most this much, in radians; where they
+            disagree by more, it is detail that they disagree about. ``None`` sets no limit.
     """
 
     iterations: int = 1
     sigma_r: float = 0.3
     tolerance: float | None = None
+    largest_spread: float | None = None
 
     def __post_init__(self) -> None:
         if not self.iterations >= 0:
@@ -113,6 +116,8 @@ class RefinementConfig:
             raise ConfigError(f"sigma_r is {self.sigma_r}, allowed: above 0")
         if self.tolerance is not None and not self.tolerance >= 0:
             raise ConfigError(f"tolerance is {self.tolerance}, allowed: 0 or more, or none")
+        if self.largest_spread is not None and not self.largest_spread > 0:
+            raise ConfigError(f"largest_spread is {self.largest_spread}, allowed: above 0, or none")
 
 
 @dataclass(frozen=True)
