@@ -32,14 +32,16 @@ fn budget() -> impl Strategy<Value = Budget> {
 fn params() -> impl Strategy<Value = PatchParams> {
     let region = prop_oneof![Just(VotingRegion::Patch), Just(VotingRegion::TwoRing)];
     (2.0..10.0f64, 16usize..80, budget(), region, 0.05..3.0f64, any::<[bool; 2]>()).prop_map(
-        |(patch_scale, n_nodes, budget, voting_region, sigma_vote, [vertex_offsets, scale_space])| PatchParams {
-            patch_scale,
-            n_nodes,
-            budget,
-            voting_region,
-            sigma_vote,
-            vertex_offsets,
-            scale_space,
+        |(patch_scale, n_nodes, budget, voting_region, sigma_vote, [vertex_offsets, scale_space])| {
+            PatchParams {
+                patch_scale,
+                n_nodes,
+                budget,
+                voting_region,
+                sigma_vote,
+                vertex_offsets,
+                scale_space,
+            }
         },
     )
 }

@@ -89,7 +89,7 @@ pub fn normal_angles<'py>(
     truth: Points<'py>,
 ) -> PyResult<Bound<'py, PyArray1<f64>>> {
     let (result, truth) = (arrays::points("result", &result)?, arrays::points("truth", &truth)?);
-    Ok(metrics::angles(result, truth).into_python()?.into_pyarray(py))
+    Ok(py.detach(|| metrics::angles(result, truth)).into_python()?.into_pyarray(py))
 }
 
 #[pyfunction]

@@ -137,7 +137,7 @@ pub fn cover_centers(
         let message = format!("patches_per_face is {patches_per_face}, allowed: above 0, at most 1");
         return Err(ConfigError::new_err(message));
     }
-    Ok(patch::cover_centers(n_faces, patches_per_face, seed).into_pyarray(py))
+    Ok(py.detach(|| patch::cover_centers(n_faces, patches_per_face, seed)).into_pyarray(py))
 }
 
 #[pyfunction]
@@ -169,6 +169,7 @@ impl PyNormalAccumulator {
 
     fn add_nodes(
         &self,
+        py: Python<'_>,
         features: PyReadonlyArrayDyn<'_, f32>,
         face_ids: PyReadonlyArrayDyn<'_, u32>,
         mask: PyReadonlyArrayDyn<'_, u8>,
@@ -176,43 +177,36 @@ impl PyNormalAccumulator {
         predicted: PyReadonlyArrayDyn<'_, f32>,
     ) -> PyResult<()> {
         let n_channels = features.shape().last().copied().unwrap_or(0);
-        self.lock()
-            .add(
-                slice("face_ids", &face_ids)?,
-                slice("mask", &mask)?,
-                slice("predicted", &predicted)?,
-                slice("features", &features)?,
-                n_channels,
-                slice("world_from_patch", &world_from_patch)?,
-            )
+        let (face_ids, mask) = (slice("face_ids", &face_ids)?, slice("mask", &mask)?);
+        let (predicted, features) = (slice("predicted", &predicted)?, slice("features", &features)?);
+        let world_from_patch = slice("world_from_patch", &world_from_patch)?;
+        py.detach(|| self.lock().add(face_ids, mask, predicted, features, n_channels, world_from_patch))
             .into_python()
     }
 
     fn add_centers(
         &self,
+        py: Python<'_>,
         centers: PyReadonlyArrayDyn<'_, u32>,
         world_from_patch: PyReadonlyArrayDyn<'_, f64>,
         predicted: PyReadonlyArrayDyn<'_, f32>,
     ) -> PyResult<()> {
-        self.lock()
-            .add_centers(
-                slice("centers", &centers)?,
-                slice("predicted", &predicted)?,
-                slice("world_from_patch", &world_from_patch)?,
-            )
-            .into_python()
+        let (centers, predicted) = (slice("centers", &centers)?, slice("predicted", &predicted)?);
+        let world_from_patch = slice("world_from_patch", &world_from_patch)?;
+        py.detach(|| self.lock().add_centers(centers, predicted, world_from_patch)).into_python()
     }
 
     fn uncovered<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u32>> {
-        self.lock().uncovered().into_pyarray(py)
+        py.detach(|| self.lock().uncovered()).into_pyarray(py)
     }
 
     fn spread<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        self.lock().spread().into_pyarray(py)
+        py.detach(|| self.lock().spread()).into_pyarray(py)
     }
 
     fn normals<'py>(&self, py: Python<'py>, fallback: Points<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let normals = self.lock().normals(arrays::points("fallback", &fallback)?).into_python()?;
+        let fallback = arrays::points("fallback", &fallback)?;
+        let normals = py.detach(|| self.lock().normals(fallback)).into_python()?;
         arrays::triples(py, normals)
     }
 }
