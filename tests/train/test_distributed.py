@@ -11,10 +11,12 @@ import torch
 from distributed_cases import one_step
 from safetensors.torch import load_file, save_file
 from test_run import write_dataset
-from train_cases import CHUNK, STAGE, clean, cube, sphere
+from train_cases import CHUNK, STAGE, TRAIN, clean, cube, sphere
 
+from gcnd.errors import ConfigError
 from gcnd.nn import distributed
 from gcnd.nn.distributed import mean_over_processes, n_processes, process_group, process_rank
+from gcnd.train import loop
 from gcnd.train.loop import Trainer
 from gcnd.train.samples import Batch, FreshNoise, make_chunk
 from gcnd.weights import load_cascade
@@ -54,7 +56,16 @@ def test_gradients_equal_those_of_one_process(tmp_path: Path, name: str) -> None
             assert float((together[key] - expected).abs().max()) < 2e-4 * scale, key
 
 
-def test_two_processes_train_a_cascade_and_go_on(tmp_path: Path) -> None:
+def test_two_processes_go_on_to_the_same_bits(tmp_path: Path) -> None:
+    done = torchrun(str(HERE / "distributed_cases.py"), str(tmp_path), "resume", cwd=HERE)
+    assert done.returncode == 0, done.stderr
+    assert [(tmp_path / f"resume.{rank}").read_text(encoding="utf-8") for rank in range(2)] == [
+        "True",
+        "True",
+    ]
+
+
+def test_two_processes_train_a_cascade(tmp_path: Path) -> None:
     write_dataset(tmp_path / "data")
     arguments = ["-m", "gcnd.train", "--pairs", str(tmp_path / "data"), "--scale", "1e-9"]
     arguments += ["--out", str(tmp_path / "run"), "--precision", "float32"]
@@ -62,21 +73,12 @@ def test_two_processes_train_a_cascade_and_go_on(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [str(tmp_path / "run" / "default.safetensors")]
     cascade = load_cascade(done.stdout.strip())
-    first = (tmp_path / "run" / "default.safetensors").read_bytes()
     assert len(cascade.passes()) == len(cascade.config.stages)
     log = (tmp_path / "run" / "log.jsonl").read_text(encoding="utf-8").splitlines()
     assert len(log) == len(cascade.config.stages)
-    again = torchrun(*arguments, cwd=tmp_path)
-    assert again.returncode == 0, again.stderr
-    assert (tmp_path / "run" / "default.safetensors").read_bytes() == first
 
 
 def test_a_batch_that_cannot_be_shared_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    from train_cases import TRAIN
-
-    from gcnd.errors import ConfigError
-    from gcnd.train import loop
-
     monkeypatch.setattr(loop, "n_processes", lambda: 3)
     with pytest.raises(ConfigError, match="a batch of 8 cannot be shared evenly by 3 processes"):
         Trainer(TRAIN, FreshNoise([clean(sphere())]))
@@ -91,3 +93,26 @@ def test_one_process_is_alone(monkeypatch: pytest.MonkeyPatch) -> None:
         assert mean_over_processes(x) is x
         with distributed.first_process_first():
             pass
+
+
+def test_half_of_torchruns_environment_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.delenv("RANK", raising=False)
+    with (
+        pytest.raises(ConfigError, match="WORLD_SIZE is set, but not RANK"),
+        process_group(torch.device("cpu")),
+    ):
+        pass
+
+
+def test_a_process_without_a_gpu_of_its_own_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"WORLD_SIZE": "3", "RANK": "2", "LOCAL_RANK": "2"}.items():
+        monkeypatch.setenv(name, value)
+    for name in ("MASTER_ADDR", "MASTER_PORT"):
+        monkeypatch.setenv(name, "0")
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    with (
+        pytest.raises(ConfigError, match="process 2 of this machine has no CUDA device"),
+        process_group(torch.device("cuda")),
+    ):
+        pass

@@ -13,19 +13,22 @@ import torch
 import trimesh
 from train_cases import STAGE, TRAIN, clean, cube, sphere
 
+from gcnd.data import shape_cache
 from gcnd.data.noise import add_noise
 from gcnd.data.shapes import Shape
 from gcnd.denoise import denoise, denoise_arrays
 from gcnd.errors import ConfigError
 from gcnd.mesh_io import save
-from gcnd.nn.cascade import Cascade, RefinementConfig
+from gcnd.nn.cascade import Cascade, RefinementConfig, StageConfig
 from gcnd.nn.networks import build_network
 from gcnd.train import corpus as corpus_module
 from gcnd.train import run as run_module
 from gcnd.train.corpus import generated_corpus, paired_corpus
 from gcnd.train.loop import StepReport
+from gcnd.train.pool import DenoisedPool
 from gcnd.train.recipes import RECIPES, Recipe, get_recipe
-from gcnd.train.run import TrainingRun, adapted, widened
+from gcnd.train.run import TrainingRun, adapted, append_line, widened
+from gcnd.train.samples import CleanShape, FreshNoise
 from gcnd.weights import load_cascade
 from gcnd.weights.files import load_tensors
 
@@ -52,7 +55,7 @@ def use_small_shapes(patched: pytest.MonkeyPatch) -> None:
     def load_shapes(n: int, seed: int, directory: Path) -> list[Shape]:
         return [sphere(), cube(4)][: 1 if seed == corpus_module.VALIDATION_SEED else n]
 
-    patched.setattr(corpus_module, "load_shapes", load_shapes)
+    patched.setattr(shape_cache, "load_shapes", load_shapes)
     patched.setattr(run_module, "CHECKPOINT_SECONDS", -1.0)
 
 
@@ -205,21 +208,73 @@ def test_weights_widened_for_new_channels_answer_the_same() -> None:
     wider = replace(
         STAGE, network=replace(STAGE.network, in_channels=26), patch=replace(STAGE.patch, scale_space=True)
     )
-    config = replace(TRAIN, stage=wider)
     torch.manual_seed(5)
     narrow = build_network(STAGE.network)
     torch.nn.init.normal_(narrow.out.weight)
-    state = widened(narrow.state_dict(), STAGE.network, config)
-    assert state is not None
     wide = build_network(wider.network)
-    wide.load_state_dict(state)
+    wide.load_state_dict(widened(narrow.state_dict(), STAGE, wider))
     features = torch.randn(3, 32, 26)
     neighbors = torch.randint(0, 32, (3, 32, 3), dtype=torch.int32)
     expected = narrow.eval()(features[..., :17], neighbors)
     assert torch.allclose(wide.eval()(features, neighbors), expected, atol=1e-5)
-    assert widened(wide.state_dict(), wider.network, TRAIN) is None
-    other = replace(TRAIN, stage=replace(STAGE, network=replace(STAGE.network, knn_k=5)))
-    assert widened(narrow.state_dict(), STAGE.network, other) is None
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        (
+            replace(
+                STAGE,
+                network=replace(STAGE.network, in_channels=26),
+                patch=replace(STAGE.patch, scale_space=True),
+            ),
+            STAGE,
+        ),
+        (STAGE, replace(STAGE, network=replace(STAGE.network, knn_k=5))),
+        (STAGE, replace(STAGE, patch=replace(STAGE.patch, n_nodes=48))),
+        (STAGE, replace(STAGE, patch=replace(STAGE.patch, vertex_offsets=False, scale_space=True))),
+    ],
+    ids=["fewer channels", "other network", "other patches", "other channels"],
+)
+def test_weights_of_another_layout_are_refused(given: StageConfig, wanted: StageConfig) -> None:
+    with pytest.raises(ConfigError, match="another layout"):
+        widened(build_network(given.network).state_dict(), given, wanted)
+
+
+def test_a_finished_stage_of_other_settings_is_refused(straight: Path, tmp_path: Path) -> None:
+    (tmp_path / "stage1.safetensors").write_bytes((straight / "stage1.safetensors").read_bytes())
+    longer = replace(RECIPE, stages=(replace(RECIPE.stages[0], steps=50), RECIPE.stages[1]))
+    with pytest.raises(ConfigError, match=r"stage1\.safetensors was trained with other settings"):
+        run(tmp_path, longer)
+
+
+def test_a_pool_of_other_meshes_is_refused(tmp_path: Path) -> None:
+    shapes = [clean(sphere()), clean(cube(4))]
+    first = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 3, 0)
+    again = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 3, 0)
+    assert [index for index, _ in again.members] == [index for index, _ in first.members]
+    other = [clean(cube(2)), *shapes]
+    with pytest.raises(ConfigError, match="made from other meshes"):
+        DenoisedPool(tmp_path, FreshNoise(other), other, [], 3, 0)
+
+
+def test_shapes_of_one_name_stay_apart_in_a_pool(tmp_path: Path) -> None:
+    def named(shape: CleanShape) -> CleanShape:
+        return replace(shape, name="part", kind="cad")
+
+    shapes = [named(clean(sphere())), named(clean(cube(4)))]
+    pool = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 12, 0)
+    assert {index for index, _ in pool.members} == {0, 1}
+    assert all(len(vertices) == len(shapes[index].vertices) for index, vertices in pool.members)
+
+
+def test_a_line_cut_short_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    append_line(path, "one")
+    with path.open("ab") as file:
+        file.write(b"tw")
+    append_line(path, "three")
+    assert path.read_bytes() == b"one\nthree\n"
 
 
 # --- what a run is made of -----------------------------------------------------------------------------
@@ -243,6 +298,9 @@ def test_meshes_of_a_folder_are_added_by_kind(tmp_path: Path) -> None:
     ]
     assert [s.draw_weight for s in shapes] == [1.0, 1.0, 4.0, 4.0, 4.0]
     assert np.array_equal(shapes[2].vertices, box.vertices)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match=r"no mesh in .*empty"):
+        generated_corpus(RECIPE, tmp_path, tmp_path / "empty")
 
 
 def write_dataset(folder: Path) -> None:
@@ -292,7 +350,9 @@ def test_adapted_scales_the_steps_and_sets_the_precision(monkeypatch: pytest.Mon
     assert [s.steps for s in scaled.stages] == [round(s.steps * 0.5) for s in recipe.stages]
     assert {s.precision for s in scaled.stages} == {"bfloat16"}
     assert [s.steps for s in adapted(recipe, scale=1e-9).stages] == [1] * len(recipe.stages)
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda: False)
+    assert {s.precision for s in adapted(recipe, device="cuda").stages} == {"float32"}
     for fast, precision in ((True, "bfloat16"), (False, "float32")):
         monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda fast=fast: fast)
         assert {s.precision for s in adapted(recipe).stages} == {precision}

@@ -28,6 +28,7 @@ from gcnd.train.samples import (
 )
 
 PATCH = PatchConfig(n_nodes=32)
+SCALE_PATCH = PatchConfig(n_nodes=32, scale_space=True)
 PAPER_PATCH = PatchConfig(n_nodes=32, vertex_offsets=False, budget="random")
 
 
@@ -108,7 +109,7 @@ def test_targets_turned_back_are_the_clean_normals(monkeypatch: pytest.MonkeyPat
 # --- turning frames ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("patch", [PATCH, PAPER_PATCH], ids=["ours", "paper"])
+@pytest.mark.parametrize("patch", [PATCH, SCALE_PATCH, PAPER_PATCH], ids=["offsets", "scale space", "paper"])
 def test_turned_frames_describe_the_same_patches(
     both: FreshNoise, patch: PatchConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -117,7 +118,7 @@ def test_turned_frames_describe_the_same_patches(
         before = make_chunk(both, patch, replace(CHUNK, n_patches=64), 0, 0)
     after = flip_frames(Batch(*(t.clone() for t in before)), np.random.default_rng(3))
     half_turn = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
-    starts = [0, 3, 8, 11, 14] if patch.vertex_offsets else [0, 3]
+    starts = [0, 3, *(8 + 3 * i for i in range((patch.n_channels - 8) // 3))]
     turned = 0
     for p in range(64):
         vectors = [(after.features[p, :, s : s + 3], before.features[p, :, s : s + 3]) for s in starts]

@@ -12,7 +12,11 @@ import typer
 from gcnd.cli.denoise import Device
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from gcnd.train.corpus import Corpus
     from gcnd.train.loop import StepReport
+    from gcnd.train.recipes import Recipe
 
 __all__ = ["run"]
 
@@ -52,10 +56,10 @@ def run(
     import torch
 
     from gcnd.errors import ConfigError
-    from gcnd.nn.distributed import first_process_first, process_group
+    from gcnd.nn.distributed import process_group
     from gcnd.train.corpus import generated_corpus, paired_corpus
     from gcnd.train.recipes import get_recipe
-    from gcnd.train.run import TrainingRun, adapted
+    from gcnd.train.run import adapted
     from gcnd.weights.registry import checked_device
 
     if threads is not None:
@@ -64,27 +68,38 @@ def run(
         raise ConfigError(f"{meshes} is not a folder of meshes")
     if pairs is not None and (meshes is not None or shapes is not None):
         raise ConfigError("--pairs trains on the pairs alone", hint="leave out --meshes and --shapes")
-    recipe = adapted(get_recipe(preset), scale=scale, precision=precision)
+    recipe = adapted(get_recipe(preset), scale=scale, precision=precision, device=device.value)
     folder = out or Path("runs") / recipe.name
-    with process_group(checked_device(device.value)) as own_device:
-        with first_process_first():
-            corpus = (
-                paired_corpus(pairs)
-                if pairs
-                else generated_corpus(recipe, shapes or folder / "shapes", meshes)
-            )
-        training = TrainingRun(
-            folder,
-            recipe,
-            corpus,
-            start_from=start_from,
-            device=str(own_device),
-            on_step=_LineWriter(),
-            on_event=lambda text: print(text, file=sys.stderr, flush=True),
+
+    def corpus() -> Corpus:
+        return (
+            paired_corpus(pairs) if pairs else generated_corpus(recipe, shapes or folder / "shapes", meshes)
         )
-        weights = training.run()
-        if training.is_first:
-            print(weights)
+
+    with process_group(checked_device(device.value)) as own_device:
+        _train(folder, recipe, corpus, start_from, str(own_device))
+
+
+def _train(
+    folder: Path, recipe: Recipe, make_corpus: Callable[[], Corpus], start_from: str | None, device: str
+) -> None:
+    from gcnd.nn.distributed import first_process_first
+    from gcnd.train.run import TrainingRun
+
+    with first_process_first():
+        corpus = make_corpus()
+    training = TrainingRun(
+        folder,
+        recipe,
+        corpus,
+        start_from=start_from,
+        device=device,
+        on_step=_LineWriter(),
+        on_event=lambda text: print(text, file=sys.stderr, flush=True),
+    )
+    weights = training.run()
+    if training.is_first:
+        print(weights)
 
 
 class _LineWriter:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from contextlib import contextmanager
+from datetime import timedelta
 from typing import TYPE_CHECKING
 
 import torch
@@ -18,6 +19,12 @@ from gcnd.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+
+_VARIABLES = ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
+
+_PATIENCE = timedelta(hours=12)
+"""How long processes wait for each other: the first one makes shapes and denoises meshes while the others wait."""
 
 
 def n_processes() -> int:
@@ -55,11 +62,17 @@ def process_group(device: torch.device) -> Iterator[torch.device]:
     """Joins the processes that torchrun started, and gives this one's device; alone, it gives ``device``.
 
     Raises:
-        ConfigError: More processes on this machine than CUDA devices.
+        ConfigError: More processes on this machine than CUDA devices, or a part of torchrun's environment only.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield device
         return
+    missing = [name for name in _VARIABLES if name not in os.environ]
+    if missing:
+        raise ConfigError(
+            f"WORLD_SIZE is set, but not {', '.join(missing)}",
+            hint="start several processes with torchrun, or unset WORLD_SIZE",
+        )
     if device.type == "cuda":
         local_rank, n_devices = int(os.environ["LOCAL_RANK"]), torch.cuda.device_count()
         if local_rank >= n_devices:
@@ -69,7 +82,7 @@ def process_group(device: torch.device) -> Iterator[torch.device]:
             )
         device = torch.device("cuda", local_rank)
         torch.cuda.set_device(device)
-    dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+    dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=_PATIENCE)
     try:
         yield device
     finally:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gcnd import _geom
 from gcnd.data.pairs import PairFiles, list_pairs, load_pair
-from gcnd.data.shape_cache import load_shapes
+from gcnd.errors import ConfigError, GcndError
 from gcnd.mesh_io import SUPPORTED, load, to_arrays
 from gcnd.train.samples import CleanShape, FreshNoise, NoiseDraw, VertexSource, noisy_vertices
 
@@ -51,21 +51,44 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
     """Makes or reads the procedural shapes of a recipe, adds the meshes of a folder, and draws noise for them.
 
     Subfolders of ``mesh_folder`` named cad, smooth or feature give their meshes that kind; others are "feature".
+
+    Args:
+        recipe: Says how many shapes, and from which seed on.
+        shape_folder: Keeps procedural shapes between runs.
+        mesh_folder: Clean meshes of the user's, at any depth.
+
+    Raises:
+        ConfigError: No mesh in ``mesh_folder``.
+        GcndError: What generates shapes is not installed.
+        MeshError: A mesh cannot be read.
+
+    Choice: docs/choices.md#training-shapes.
+
+    Example:
+        >>> from gcnd.train.recipes import get_recipe
+        >>> generated_corpus(get_recipe("default"), Path("shapes"), None).shapes[0].kind  # doctest: +SKIP
+        'cad'
     """
-    shapes = [
-        CleanShape(s.name, s.kind, s.vertices, s.faces)
-        for s in load_shapes(recipe.n_shapes, recipe.seed, shape_folder)
-    ]
+    shapes = _procedural(recipe.n_shapes, recipe.seed, shape_folder)
     if mesh_folder is not None:
-        shapes += [
-            _given_shape(path) for path in sorted(mesh_folder.rglob("*")) if path.suffix.lower() in SUPPORTED
-        ]
-    held_out = [
-        CleanShape(s.name, s.kind, s.vertices, s.faces)
-        for s in load_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
-    ]
+        paths = [path for path in sorted(mesh_folder.rglob("*")) if path.suffix.lower() in SUPPORTED]
+        if not paths:
+            raise ConfigError(f"no mesh in {mesh_folder}", hint=f"supported: {', '.join(SUPPORTED)}")
+        shapes += [_given_shape(path) for path in paths]
+    held_out = _procedural(N_VALIDATION, VALIDATION_SEED, shape_folder)
     validation = [(shape, noisy_vertices(shape, VALIDATION_NOISE)) for shape in held_out]
     return Corpus(shapes, FreshNoise(shapes), validation)
+
+
+def _procedural(n: int, seed: int, folder: Path) -> list[CleanShape]:
+    # Only who generates shapes needs what generates them.
+    try:
+        from gcnd.data.shape_cache import load_shapes
+    except ImportError as error:
+        raise GcndError(
+            f"procedural shapes need {error.name}", hint="pip install 'gcnd[train]', or give --pairs"
+        ) from error
+    return [CleanShape(s.name, s.kind, s.vertices, s.faces) for s in load_shapes(n, seed, folder)]
 
 
 def _given_shape(path: Path) -> CleanShape:
@@ -90,9 +113,16 @@ class PairSource:
 def paired_corpus(folder: Path) -> Corpus:
     """Reads a dataset of pairs: trains on its ``train`` half, validates on up to six meshes of its ``test`` half.
 
+    Args:
+        folder: Holds ``train`` and ``test``, as `gcnd.data.pairs.list_pairs` describes them.
+
     Raises:
-        ConfigError: The layout is not that of `gcnd.data.pairs.list_pairs`.
+        ConfigError: The layout is another.
         MeshError: A file cannot be read, or a pair's faces differ.
+
+    Example:
+        >>> len(paired_corpus(Path("Kinect_v1")).validation)  # doctest: +SKIP
+        6
     """
     train, test = list_pairs(folder, "train"), list_pairs(folder, "test")
     picked = [test[i] for i in np.linspace(0, len(test) - 1, min(N_VALIDATION, len(test))).astype(int)]

@@ -15,7 +15,7 @@ import torch
 
 from gcnd.errors import ConfigError
 from gcnd.nn.cascade import StageConfig
-from gcnd.nn.distributed import n_processes, process_rank
+from gcnd.nn.distributed import mean_over_processes, n_processes, process_rank
 from gcnd.nn.networks import build_network
 from gcnd.train.checkpoint import WeightAverage, optimizer_tensors, restore_optimizer, sub_state
 from gcnd.train.losses import LOSSES
@@ -130,6 +130,15 @@ def batches(source: VertexSource, config: TrainConfig, first_step: int) -> Itera
             queue.get_nowait()
 
 
+def check_settings(path: Path, header: dict[str, Any], config: TrainConfig) -> None:
+    """Raises ``ConfigError`` when the file that ``header`` comes from was trained with another configuration."""
+    if header.get("config") != json.loads(json.dumps(asdict(config))):
+        raise ConfigError(
+            f"{path} was trained with other settings",
+            hint="give the same settings again, or another folder",
+        )
+
+
 def _shared(network: nn.Module, device: torch.device) -> nn.Module:
     """The network itself, or what averages its gradients over all processes."""
     if n_processes() == 1:
@@ -178,11 +187,7 @@ class Trainer:
     def load(self, path: Path) -> dict[str, Any]:
         """Restores a checkpoint and returns its header; raises ``ConfigError`` if it has another configuration."""
         tensors, header = load_tensors(path)
-        if header.get("config") != json.loads(json.dumps(asdict(self.config))):
-            raise ConfigError(
-                f"{path} was trained with other settings",
-                hint="give the same settings again, or another folder",
-            )
+        check_settings(path, header, self.config)
         self.network.load_state_dict(sub_state(tensors, "network"))
         average = sub_state(tensors, "average")
         self.average.state = {k: v.to(self.device) for k, v in average.items()}
@@ -227,4 +232,4 @@ class Trainer:
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), config.grad_clip)
         self.optimizer.step()
-        return float(loss.detach())
+        return float(mean_over_processes(loss.detach()))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from gcnd import _geom
+from gcnd.errors import ConfigError
 from gcnd.predict import Precision, predict_normals
 
 if TYPE_CHECKING:
@@ -62,15 +64,16 @@ class DenoisedPool:
         folder.mkdir(parents=True, exist_ok=True)
         self.shapes = shapes
         self.members: list[tuple[int, NDArray[np.float32]]] = []
-        by_name = {shape.name: index for index, shape in enumerate(shapes)}
+        by_identity = {id(shape): index for index, shape in enumerate(shapes)}
+        prints = [fingerprint(shape) for shape in shapes]
         for number in range(size):
             path = folder / f"{number:04d}.npz"
             if not path.exists():
                 shape, noisy = noise.draw(np.random.default_rng([seed, _STREAM, number]))
                 vertices = run_stages(shape, noisy, stages, seed + number, device, precision)
-                _save(path, by_name[shape.name], vertices)
-            with np.load(path, allow_pickle=False) as file:
-                self.members.append((int(file["shape"]), file["vertices"]))
+                index = by_identity[id(shape)]
+                _save(path, index, prints[index], vertices)
+            self.members.append(_load(path, prints))
             if progress is not None:
                 progress(number + 1, size)
 
@@ -80,11 +83,36 @@ class DenoisedPool:
         return self.shapes[index], vertices.astype(np.float64)
 
 
-def _save(path: Path, shape: int, vertices: NDArray[np.float64]) -> None:
+def fingerprint(shape: CleanShape) -> str:
+    """Tells a clean mesh from any other: a hash of its vertices and faces.
+
+    Example:
+        >>> from gcnd.train.samples import CleanShape
+        >>> triangle = CleanShape("t", "cad", np.eye(3), np.array([[0, 1, 2]], np.uint32))
+        >>> len(fingerprint(triangle))
+        64
+    """
+    arrays = (shape.vertices, shape.faces)
+    return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
+
+
+def _save(path: Path, index: int, mark: str, vertices: NDArray[np.float64]) -> None:
     partial = path.with_suffix(".part")
     with partial.open("wb") as file:
-        np.savez(file, shape=shape, vertices=vertices.astype(np.float32))
+        np.savez(file, shape=index, fingerprint=mark, vertices=vertices.astype(np.float32))
     partial.replace(path)
+
+
+def _load(path: Path, prints: list[str]) -> tuple[int, NDArray[np.float32]]:
+    with np.load(path, allow_pickle=False) as file:
+        index, vertices = int(file["shape"]), file["vertices"]
+        same = index < len(prints) and str(file["fingerprint"]) == prints[index]
+    if not same:
+        raise ConfigError(
+            f"{path} was made from other meshes than this run trains on",
+            hint="give the same meshes again, or another folder",
+        )
+    return index, vertices
 
 
 def evaluation_copy(network: nn.Module, state: dict[str, torch.Tensor]) -> nn.Module:

@@ -17,10 +17,10 @@ from gcnd.nn.cascade import Cascade, CascadeConfig, written_out
 from gcnd.nn.distributed import first_process_first, process_rank
 from gcnd.nn.networks import build_network
 from gcnd.predict import fast_precision, predict_normals
-from gcnd.train.loop import StepReport, TrainConfig, Trainer
+from gcnd.train.loop import StepReport, TrainConfig, Trainer, check_settings
 from gcnd.train.pool import DenoisedPool, evaluation_copy, run_stages
 from gcnd.weights import save_cascade
-from gcnd.weights.files import load_tensors, save_tensors
+from gcnd.weights.files import load_header, load_tensors, save_tensors
 from gcnd.weights.registry import load_trainable
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from torch import nn
 
     from gcnd.nn.cascade import StageConfig
-    from gcnd.nn.networks import NetworkConfig
     from gcnd.train.corpus import Corpus
     from gcnd.train.recipes import Recipe
     from gcnd.train.samples import CleanShape, VertexSource
@@ -47,8 +46,21 @@ N_EXAMPLES = 3
 class TrainingRun:
     """One run in one folder; of several processes the first validates, logs and saves.
 
-    Holds ``log.jsonl``, ``stage<i>.checkpoint.safetensors``, ``stage<i>.safetensors`` when a stage is done, and at
-    the end ``<name>.safetensors``.
+    Holds ``log.jsonl``, ``stage<i>.pool`` with the meshes of a later stage, ``stage<i>.checkpoint.safetensors``,
+    ``stage<i>.safetensors`` when a stage is done, and at the end ``<name>.safetensors`` and ``example-<i>.npz``.
+
+    Args:
+        folder: Made if missing; a run that is in there goes on.
+        recipe: What to train, and for how long.
+        corpus: What to learn from.
+        start_from: Preset or weights file whose stages the first stages start from.
+        validate_every: Steps between validations.
+        device: Where to train.
+        on_step: Called with the index of the stage and a report after every step.
+        on_event: Called with a line of text when something is worth saying.
+
+    Raises:
+        ConfigError: The folder holds a run of other settings, or ``start_from`` has another layout.
     """
 
     def __init__(
@@ -74,7 +86,9 @@ class TrainingRun:
         trained: list[tuple[StageConfig, nn.Module]] = []
         for index, config in enumerate(self.recipe.stages):
             path = self.folder / f"stage{index + 1}.safetensors"
-            if not path.exists():
+            if path.exists():
+                check_settings(path, load_header(path), config)
+            else:
                 state = self._train_stage(index, config, trained)
                 with first_process_first():
                     if self.is_first:
@@ -98,14 +112,17 @@ class TrainingRun:
         ready = cascade.for_inference().to(self.device)
         for number, (shape, noisy) in enumerate(self.corpus.validation[:N_EXAMPLES], start=1):
             denoised = denoise_arrays(noisy, shape.faces, ready, device=self.device)
-            np.savez(
-                self.folder / f"example-{number}.npz",
-                name=shape.name,
-                faces=shape.faces,
-                clean=shape.vertices,
-                noisy=noisy,
-                denoised=denoised,
-            )
+            partial = self.folder / f"example-{number}.part"
+            with partial.open("wb") as file:
+                np.savez(
+                    file,
+                    name=shape.name,
+                    faces=shape.faces,
+                    clean=shape.vertices,
+                    noisy=noisy,
+                    denoised=denoised,
+                )
+            partial.replace(self.folder / f"example-{number}.npz")
 
     def _train_stage(
         self, index: int, config: TrainConfig, earlier: list[tuple[StageConfig, nn.Module]]
@@ -168,9 +185,8 @@ class TrainingRun:
     ) -> dict[str, torch.Tensor] | None:
         """Weights of the same stage in ``start_from``, else of the stage before, where layouts agree."""
         if self.start is not None and index < len(self.start.stages):
-            return widened(
-                self.start.stages[index].state_dict(), self.start.config.stages[index].network, config
-            )
+            given = self.start.config.stages[index]
+            return widened(self.start.stages[index].state_dict(), given, config.stage)
         if self.recipe.warm_start and earlier and earlier[-1][0].network == config.stage.network:
             return earlier[-1][1].state_dict()
         return None
@@ -197,35 +213,65 @@ class TrainingRun:
         if error is not None:
             values["validation_e_a"] = error
             self._say(f"stage {stage + 1}  step {report.step}  loss {loss:.4f}  validation E_a {error:.3f}°")
-        with (self.folder / "log.jsonl").open("a", encoding="utf-8") as file:
-            file.write(json.dumps(values) + "\n")
+        append_line(self.folder / "log.jsonl", json.dumps(values))
 
     def _say(self, text: str) -> None:
         if self.on_event is not None and self.is_first:
             self.on_event(text)
 
 
+def append_line(path: Path, line: str) -> None:
+    """Appends a line to a file, in place of what a kill may have left of the last one."""
+    with path.open("ab+") as file:
+        file.seek(0)
+        file.truncate(file.read().rfind(b"\n") + 1)
+        file.write(line.encode() + b"\n")
+
+
 def widened(
-    state: dict[str, torch.Tensor], network: NetworkConfig, config: TrainConfig
-) -> dict[str, torch.Tensor] | None:
-    """Fits weights of a network to one of the same layout that may see more channels; ``None`` if it is another.
+    state: dict[str, torch.Tensor], given: StageConfig, wanted: StageConfig
+) -> dict[str, torch.Tensor]:
+    """Fits weights to a network of the same layout that may see the normals of the scale space besides.
 
     The weights of the new channels are zero, so that both networks answer the same.
+
+    Args:
+        state: Weights of a network.
+        given: The stage that they were trained for.
+        wanted: The stage to fit them to.
+
+    Returns:
+        Weights for ``wanted.network``.
+
+    Raises:
+        ConfigError: The layouts differ in anything else.
+
+    Example:
+        >>> from gcnd.train.recipes import get_recipe
+        >>> stage = get_recipe("default").stages[0].stage
+        >>> weights = build_network(stage.network).state_dict()
+        >>> widened(weights, stage, stage).keys() == weights.keys()
+        True
     """
-    wanted = config.stage.network
-    if replace(network, in_channels=wanted.in_channels) != wanted or network.in_channels > wanted.in_channels:
-        return None
-    lack = wanted.in_channels - network.in_channels
-    first = "static" if wanted.static_channels else "dynamic"
-    names = [f"trunk.{first}.0.{part}.weight" for part in ("center", "neighbor")]
+    lack = wanted.network.in_channels - given.network.in_channels
+    fitted = replace(given.network, in_channels=wanted.network.in_channels)
+    patch = replace(given.patch, scale_space=wanted.patch.scale_space)
+    if lack < 0 or fitted != wanted.network or patch != wanted.patch or (lack and not fitted.static_channels):
+        raise ConfigError(
+            "the weights to start from have another layout than the recipe's networks",
+            hint="start from weights of the same recipe, or leave out --start-from",
+        )
+    names = [f"trunk.static.0.{part}.weight" for part in ("center", "neighbor")] if lack else []
     return state | {name: torch.nn.functional.pad(state[name], (0, lack)) for name in names}
 
 
-def adapted(recipe: Recipe, *, scale: float = 1.0, precision: str | None = None) -> Recipe:
+def adapted(
+    recipe: Recipe, *, scale: float = 1.0, precision: str | None = None, device: str = "cpu"
+) -> Recipe:
     """Returns a recipe with ``scale`` times the steps of every stage and a precision that suits the processor.
 
-    ``None`` takes bfloat16 for our recipes where the processor multiplies matrices in it, which is three times as
-    fast; the paper's recipe always computes in float32.
+    ``None`` takes bfloat16 for our recipes where the device multiplies matrices in it, which is 1.8 times as fast on a
+    processor that does (docs/benchmarks.md#networks); the paper's recipe always computes in float32.
 
     Raises:
         ConfigError: ``precision`` is neither "float32" nor "bfloat16".
@@ -233,7 +279,8 @@ def adapted(recipe: Recipe, *, scale: float = 1.0, precision: str | None = None)
     if precision not in (None, "float32", "bfloat16"):
         raise ConfigError(f"precision is {precision!r}, allowed: float32 or bfloat16")
     if precision is None:
-        fast = torch.cuda.is_available() or fast_precision("cpu") == "bfloat16"
+        on_cuda = torch.device(device).type == "cuda"
+        fast = torch.cuda.is_bf16_supported() if on_cuda else fast_precision("cpu") == "bfloat16"
         precision = "bfloat16" if fast and recipe.name != "paper" else "float32"
     stages = tuple(
         replace(s, steps=max(1, round(s.steps * scale)), precision=precision)  # type: ignore[arg-type]
