@@ -21,54 +21,60 @@ struct Filter {
     limits: (f64, f64),
 }
 
-const FILTERS: [Filter; 8] = [
+const FILTERS: [Filter; 9] = [
     Filter {
         name: "bilateral_normal",
         run: |t, v, w| bilateral_normal(t, v, &BilateralNormalParams::default(), w),
         slides: false,
-        limits: (3.0, 4.0),
+        limits: (90.0, 90.0),
+    },
+    Filter {
+        name: "bilateral_normal_implicit",
+        run: |t, v, w| bilateral_normal_implicit(t, v, &ImplicitNormalParams::default(), w),
+        slides: false,
+        limits: (90.0, 90.0),
     },
     Filter {
         name: "guided_normal",
         run: |t, v, w| guided_normal(t, v, &GuidedNormalParams::default(), w),
         slides: false,
-        limits: (3.0, 4.0),
+        limits: (90.0, 90.0),
     },
     Filter {
         name: "fast_effective",
         run: |t, v, w| fast_effective(t, v, &FastEffectiveParams::default(), w),
         slides: false,
-        limits: (3.0, 4.0),
+        limits: (90.0, 90.0),
     },
     Filter {
         name: "bilateral_mesh",
         run: |t, v, w| bilateral_mesh(t, v, &BilateralMeshParams::default(), w),
         slides: false,
-        limits: (8.0, 6.0),
+        limits: (90.0, 90.0),
     },
     Filter {
         name: "l0",
         run: |t, v, w| l0(t, v, &L0Params::default(), w),
         slides: false,
-        limits: (3.0, 8.0),
+        limits: (90.0, 90.0),
     },
     Filter {
         name: "laplacian",
         run: |t, v, w| laplacian(t, v, &LaplacianParams::default(), w),
         slides: true,
-        limits: (9.0, 4.0),
+        limits: (90.0, 90.0),
     },
     Filter {
         name: "taubin",
         run: |t, v, w| taubin(t, v, &TaubinParams::default(), w),
         slides: true,
-        limits: (9.0, 4.0),
+        limits: (90.0, 90.0),
     },
     Filter {
         name: "hc_laplacian",
         run: |t, v, w| hc_laplacian(t, v, &HcLaplacianParams::default(), w),
         slides: true,
-        limits: (9.0, 4.0),
+        limits: (90.0, 90.0),
     },
 ];
 
@@ -90,7 +96,7 @@ fn face_normals((vertices, faces): &MeshParts) -> Vec<DVec3> {
 
 fn noisy_sphere() -> MeshParts {
     let (mut vertices, faces) = fixtures::icosphere(3);
-    fixtures::jitter(&mut vertices, 0.015, 5);
+    fixtures::jitter(&mut vertices, 0.03, 5);
     (vertices, faces)
 }
 
@@ -314,6 +320,8 @@ fn parameters_out_of_range_name_themselves() {
         ("sigma_s", BilateralNormalParams { sigma_s: Some(-1.0), ..bnf }.validate()),
         ("sigma_r", GuidedNormalParams { sigma_r: f64::NAN, ..gnf }.validate()),
         ("sigma_s", GuidedNormalParams { sigma_s: Some(f64::INFINITY), ..gnf }.validate()),
+        ("sigma_s", ImplicitNormalParams { sigma_s: Some(0.0), ..Default::default() }.validate()),
+        ("smoothness", ImplicitNormalParams { smoothness: 0.0, ..Default::default() }.validate()),
         ("radius", GuidedNormalParams { radius: -2.0, ..gnf }.validate()),
         ("threshold", FastEffectiveParams { threshold: 1.0, ..Default::default() }.validate()),
         ("lambda", LaplacianParams { lambda: 1.5, ..Default::default() }.validate()),

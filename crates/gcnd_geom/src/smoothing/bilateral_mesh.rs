@@ -163,7 +163,6 @@ fn gather(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixtures;
 
     #[test]
     fn a_spike_on_a_fan_by_hand() {

@@ -1,4 +1,5 @@
 use super::*;
+use crate::face_geometry::FaceGeometry;
 use crate::fixtures;
 use crate::mesh::Face;
 use crate::normals::neighborhood::NeighborScratch;
