@@ -17,7 +17,8 @@ struct Filter {
     run: Run,
     /// Whether vertices slide along a plane towards the mean of their neighbours.
     slides: bool,
-    /// E_a, in degrees, that it must reach on the noisy cube and the noisy sphere.
+    /// E_a, in degrees, that it must reach on the noisy cube and the noisy sphere: what was measured, and 20 %.
+    /// None on the cube for the one that rounds its edges as much as it smooths its sides.
     limits: (f64, f64),
 }
 
@@ -26,55 +27,55 @@ const FILTERS: [Filter; 9] = [
         name: "bilateral_normal",
         run: |t, v, w| bilateral_normal(t, v, &BilateralNormalParams::default(), w),
         slides: false,
-        limits: (90.0, 90.0),
+        limits: (0.6, 1.3),
     },
     Filter {
         name: "bilateral_normal_implicit",
         run: |t, v, w| bilateral_normal_implicit(t, v, &ImplicitNormalParams::default(), w),
         slides: false,
-        limits: (90.0, 90.0),
+        limits: (1.3, 1.5),
     },
     Filter {
         name: "guided_normal",
         run: |t, v, w| guided_normal(t, v, &GuidedNormalParams::default(), w),
         slides: false,
-        limits: (90.0, 90.0),
+        limits: (1.0, 1.5),
     },
     Filter {
         name: "fast_effective",
         run: |t, v, w| fast_effective(t, v, &FastEffectiveParams::default(), w),
         slides: false,
-        limits: (90.0, 90.0),
+        limits: (0.5, 2.1),
     },
     Filter {
         name: "bilateral_mesh",
         run: |t, v, w| bilateral_mesh(t, v, &BilateralMeshParams::default(), w),
         slides: false,
-        limits: (90.0, 90.0),
+        limits: (7.2, 4.3),
     },
     Filter {
         name: "l0",
         run: |t, v, w| l0(t, v, &L0Params::default(), w),
         slides: false,
-        limits: (90.0, 90.0),
+        limits: (0.4, 5.8),
     },
     Filter {
         name: "laplacian",
         run: |t, v, w| laplacian(t, v, &LaplacianParams::default(), w),
         slides: true,
-        limits: (90.0, 90.0),
+        limits: (f64::INFINITY, 1.9),
     },
     Filter {
         name: "taubin",
         run: |t, v, w| taubin(t, v, &TaubinParams::default(), w),
         slides: true,
-        limits: (90.0, 90.0),
+        limits: (8.0, 1.9),
     },
     Filter {
         name: "hc_laplacian",
         run: |t, v, w| hc_laplacian(t, v, &HcLaplacianParams::default(), w),
         slides: true,
-        limits: (90.0, 90.0),
+        limits: (8.0, 1.8),
     },
 ];
 
@@ -96,7 +97,7 @@ fn face_normals((vertices, faces): &MeshParts) -> Vec<DVec3> {
 
 fn noisy_sphere() -> MeshParts {
     let (mut vertices, faces) = fixtures::icosphere(3);
-    fixtures::jitter(&mut vertices, 0.03, 5);
+    fixtures::jitter(&mut vertices, 0.015, 5);
     (vertices, faces)
 }
 
@@ -225,17 +226,18 @@ fn noise_is_removed() {
     let truth = face_normals(&(vertices.clone(), faces.clone()));
     fixtures::jitter(&mut vertices, 0.012, 8);
     let cube = (vertices, faces);
-    let sphere = noisy_sphere();
-    let sphere_truth = face_normals(&fixtures::icosphere(3));
+    let (mut vertices, faces) = fixtures::icosphere(4);
+    let sphere_truth = face_normals(&(vertices.clone(), faces.clone()));
+    fixtures::jitter(&mut vertices, 0.015, 5);
+    let sphere = (vertices, faces);
     let error = |mesh: &MeshParts, vertices: Vec<DVec3>, truth: &[DVec3]| {
         normal_error(&face_normals(&(vertices, mesh.1.clone())), truth).expect("same mesh")
     };
     let noise = (error(&cube, cube.0.clone(), &truth), error(&sphere, sphere.0.clone(), &sphere_truth));
-    assert!(noise.0 > 11.0 && noise.1 > 7.0, "{noise:?}");
+    assert!(noise.0 > 11.5 && noise.1 > 8.0, "{noise:?}");
     for filter in &FILTERS {
         let on_cube = error(&cube, filter.apply(&cube).expect("valid"), &truth);
         let on_sphere = error(&sphere, filter.apply(&sphere).expect("valid"), &sphere_truth);
-        println!("{}: {on_cube:.2} {on_sphere:.2}", filter.name);
         assert!(on_cube < filter.limits.0, "{}: {on_cube} on the cube", filter.name);
         assert!(on_sphere < filter.limits.1, "{}: {on_sphere} on the sphere", filter.name);
     }

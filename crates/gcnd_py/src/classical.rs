@@ -176,8 +176,11 @@ pub fn laplacian<'py>(
 }
 
 #[pyfunction]
-#[pyo3(signature = (topology, vertices, *, lambda_=0.5, mu=-0.53, iterations=10, fix_boundary=true,
-                    progress=None))]
+// Negative defaults are left out of the signature that pyo3 writes by itself.
+#[pyo3(
+    signature = (topology, vertices, *, lambda_=0.5, mu=-0.53, iterations=10, fix_boundary=true, progress=None),
+    text_signature = "(topology, vertices, *, lambda_=0.5, mu=-0.53, iterations=10, fix_boundary=True, progress=None)"
+)]
 #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
 pub fn taubin<'py>(
     py: Python<'py>,

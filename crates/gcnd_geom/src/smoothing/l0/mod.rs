@@ -88,8 +88,8 @@ impl L0Params {
 /// [`crate::GeomError::InvalidParameter`], [`crate::GeomError::LengthMismatch`],
 /// [`crate::GeomError::NonFiniteVertex`], [`crate::GeomError::Diverged`] or [`crate::GeomError::Cancelled`].
 ///
-/// Source: He, Schaefer 2013, Eqs. 5, 8 and 9. Their λ is 0.02 · ē² · γ̄ with signed angles; averaged without sign,
-/// which does not let them cancel, ten times that is the setting that denoises.
+/// Source: He, Schaefer 2013, Eqs. 5, 8 and 9. The λ and α are those of the program of Zhang et al. 2015, with γ̄ averaged
+/// without sign: it averages signed angles, which cancel, and hardly denoises.
 ///
 /// ```
 /// use gcnd_geom::smoothing::{L0Params, l0};
