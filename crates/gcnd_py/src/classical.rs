@@ -10,6 +10,7 @@ use gcnd_geom::smoothing::{BilateralMeshParams, HcLaplacianParams, L0Params, Lap
 use gcnd_geom::{DVec3, Topology, Watch, normals, smoothing};
 use numpy::PyArray2;
 use pyo3::prelude::*;
+use std::f64::consts::SQRT_2;
 use std::ops::ControlFlow;
 
 type Positions<'py> = PyResult<Bound<'py, PyArray2<f64>>>;
@@ -140,9 +141,13 @@ pub fn bilateral_mesh<'py>(
 }
 
 #[pyfunction]
-#[pyo3(signature = (topology, vertices, *, lambda_=None, alpha=None, mu_alpha=0.5, beta=0.001,
-                    beta_max=1000.0, mu_beta=1.4142135623730951, progress=None))]
-#[allow(clippy::approx_constant, reason = "the stub can repeat a literal alone")]
+// pyo3 by itself can tell Python literals alone.
+#[pyo3(
+    signature = (topology, vertices, *, lambda_=None, alpha=None, mu_alpha=0.5, beta=0.001, beta_max=1000.0,
+                 mu_beta=SQRT_2, progress=None),
+    text_signature = "(topology, vertices, *, lambda_=None, alpha=None, mu_alpha=0.5, beta=0.001, beta_max=1000.0, \
+                      mu_beta=1.4142135623730951, progress=None)"
+)]
 #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
 pub fn l0<'py>(
     py: Python<'py>,
@@ -176,7 +181,7 @@ pub fn laplacian<'py>(
 }
 
 #[pyfunction]
-// Negative defaults are left out of the signature that pyo3 writes by itself.
+// pyo3 by itself does not tell Python negative defaults.
 #[pyo3(
     signature = (topology, vertices, *, lambda_=0.5, mu=-0.53, iterations=10, fix_boundary=true, progress=None),
     text_signature = "(topology, vertices, *, lambda_=0.5, mu=-0.53, iterations=10, fix_boundary=True, progress=None)"
