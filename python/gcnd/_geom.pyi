@@ -4,6 +4,7 @@ Points are float64 (n, 3), faces uint32 (n, 3), all contiguous in C order. Error
 for parameters and array shapes, ``gcnd.errors.ConfigError``. Formulas and sources stand in the core's own docs.
 """
 
+from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 Points = NDArray[np.float64]
 Faces = NDArray[np.uint32]
 Ids = NDArray[np.uint32]
+FilterProgress = Callable[[int, int], object]
 
 class Topology:
     """Adjacency of a mesh, built once: vertex → faces and face → faces across an edge."""
@@ -132,6 +134,96 @@ def refine_consistent(
 def update_vertices(topology: Topology, vertices: Points, normals: Points, iterations: int) -> Points:
     """Moves vertices to fit normals (Eq. 6)."""
 
+# The classical filters return positions (V, 3) and leave ``vertices`` as they are. ``progress`` is called after each
+# iteration with (iteration, total); what it raises, or Ctrl-C, stops the filter.
+def bilateral_normal(
+    topology: Topology,
+    vertices: Points,
+    *,
+    sigma_r: float = 0.35,
+    sigma_s: float | None = None,
+    normal_iterations: int = 20,
+    vertex_iterations: int = 20,
+    fix_boundary: bool = True,
+    progress: FilterProgress | None = None,
+) -> Points: ...
+def bilateral_normal_implicit(
+    topology: Topology,
+    vertices: Points,
+    *,
+    sigma_r: float = 0.35,
+    sigma_s: float | None = None,
+    smoothness: float = 0.01,
+    vertex_iterations: int = 20,
+    fix_boundary: bool = True,
+    progress: FilterProgress | None = None,
+) -> Points: ...
+def guided_normal(
+    topology: Topology,
+    vertices: Points,
+    *,
+    sigma_r: float = 0.35,
+    sigma_s: float | None = None,
+    radius: float = 2.0,
+    normal_iterations: int = 20,
+    vertex_iterations: int = 20,
+    fix_boundary: bool = False,
+    progress: FilterProgress | None = None,
+) -> Points: ...
+def fast_effective(
+    topology: Topology,
+    vertices: Points,
+    *,
+    threshold: float = 0.5,
+    normal_iterations: int = 20,
+    vertex_iterations: int = 50,
+    fix_boundary: bool = True,
+    progress: FilterProgress | None = None,
+) -> Points: ...
+def bilateral_mesh(
+    topology: Topology, vertices: Points, *, iterations: int = 5, progress: FilterProgress | None = None
+) -> Points: ...
+def l0(
+    topology: Topology,
+    vertices: Points,
+    *,
+    lambda_: float | None = None,
+    alpha: float | None = None,
+    mu_alpha: float = 0.5,
+    beta: float = 0.001,
+    beta_max: float = 1000.0,
+    mu_beta: float = 1.4142135623730951,
+    progress: FilterProgress | None = None,
+) -> Points: ...
+def laplacian(
+    topology: Topology,
+    vertices: Points,
+    *,
+    lambda_: float = 0.5,
+    iterations: int = 10,
+    fix_boundary: bool = True,
+    progress: FilterProgress | None = None,
+) -> Points: ...
+def taubin(
+    topology: Topology,
+    vertices: Points,
+    *,
+    lambda_: float = 0.5,
+    mu: float = -0.53,
+    iterations: int = 10,
+    fix_boundary: bool = True,
+    progress: FilterProgress | None = None,
+) -> Points: ...
+def hc_laplacian(
+    topology: Topology,
+    vertices: Points,
+    *,
+    alpha: float = 0.1,
+    beta: float = 0.5,
+    iterations: int = 10,
+    fix_boundary: bool = True,
+    progress: FilterProgress | None = None,
+) -> Points: ...
 def normal_angles(result: Points, truth: Points) -> NDArray[np.float64]:
     """Degrees (F,) between normals; NaN where the truth is zero, 90 where only the result is."""
 

@@ -54,6 +54,18 @@ pub enum GeomError {
         /// How many there may be.
         limit: usize,
     },
+    /// Positions left every sensible bound, or became NaN, during a filter.
+    #[error("the filter diverged in iteration {iteration}; the input is unchanged")]
+    Diverged {
+        /// The iteration, counted from 1 over all of the filter's steps.
+        iteration: usize,
+    },
+    /// Whoever watched a filter asked it to stop.
+    #[error("the filter was cancelled after iteration {iteration}; the input is unchanged")]
+    Cancelled {
+        /// The last iteration that was done, counted from 1 over all of the filter's steps.
+        iteration: usize,
+    },
 }
 
 /// A result whose error is a [`GeomError`].
@@ -62,4 +74,23 @@ pub type Result<T> = std::result::Result<T, GeomError>;
 /// Returns [`GeomError::LengthMismatch`] unless `got == expected`.
 pub fn check_len(what: &'static str, expected: usize, got: usize) -> Result<()> {
     if expected == got { Ok(()) } else { Err(GeomError::LengthMismatch { what, expected, got }) }
+}
+
+/// Returns [`GeomError::InvalidParameter`] unless `value` is positive and finite.
+pub fn check_positive(name: &'static str, value: f64) -> Result<()> {
+    check_parameter(name, value, value.is_finite() && value > 0.0, "a positive finite number")
+}
+
+/// Returns [`GeomError::InvalidParameter`] unless `is_allowed`.
+pub fn check_parameter(
+    name: &'static str,
+    value: impl ToString,
+    is_allowed: bool,
+    allowed: &'static str,
+) -> Result<()> {
+    if is_allowed {
+        Ok(())
+    } else {
+        Err(GeomError::InvalidParameter { name, value: value.to_string(), allowed })
+    }
 }

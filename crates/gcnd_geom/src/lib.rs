@@ -16,6 +16,9 @@
 //! | vertex updating | [`vertex_update`] | Sec. 6.2, Eq. 6 |
 //! | E_a, E_v | [`metrics`] | Sec. 7.2, Eqs. 7–8 |
 //!
+//! The classical filters, which need no network, are in [`normals`] and [`smoothing`]; [`watch`] reports how far they
+//! are and stops them.
+//!
 //! [`remesh`] makes training shapes: isotropic triangles with sharp edges kept.
 
 pub mod csr;
@@ -29,10 +32,13 @@ pub mod metrics;
 pub mod normals;
 pub mod patch;
 pub mod remesh;
+pub mod smoothing;
 pub mod topology;
 pub mod vertex_update;
+pub mod watch;
 
 pub use error::{GeomError, Result};
 pub use glam::{DMat3, DVec3};
 pub use mesh::Face;
 pub use topology::Topology;
+pub use watch::Watch;

@@ -70,6 +70,25 @@ impl Topology {
         &self.edge_neighbors
     }
 
+    /// Whether each vertex lies on a boundary: on an edge that one face alone uses (V).
+    pub fn boundary_vertices(&self) -> Vec<bool> {
+        let mut is_boundary = vec![false; self.n_vertices()];
+        for (face_id, face) in self.faces.iter().enumerate() {
+            for edge in 0..3 {
+                let (a, b) = (face[edge], face[(edge + 1) % 3]);
+                let shares = |&f: &u32| {
+                    let other = &self.faces[f as usize];
+                    other.contains(&a) && other.contains(&b)
+                };
+                if a != b && !self.edge_neighbors(face_id).iter().any(shares) {
+                    is_boundary[a as usize] = true;
+                    is_boundary[b as usize] = true;
+                }
+            }
+        }
+        is_boundary
+    }
+
     /// Faces that share at least one vertex with `face_id` (`VertexNeighbors`), ascending, without itself.
     pub fn vertex_neighbors<'s>(&self, face_id: usize, scratch: &'s mut RingScratch) -> &'s [u32] {
         self.ring(face_id, 1, scratch)
@@ -137,6 +156,12 @@ impl RingScratch {
             self.found.push(face_id);
         }
         is_new
+    }
+
+    /// Whether this query has seen a face.
+    #[inline]
+    pub fn has_seen(&self, face_id: u32) -> bool {
+        self.stamp_of_face[face_id as usize] == self.stamp
     }
 
     /// The faces seen by this query, in the order of discovery.
@@ -234,6 +259,20 @@ mod tests {
         let t = topology(fixtures::hourglass());
         assert!(t.edge_neighbors(0).is_empty());
         assert_eq!(t.vertex_neighbors(0, &mut RingScratch::new()), [1]);
+    }
+
+    #[test]
+    fn boundary_vertices_lie_on_edges_of_one_face() {
+        let inside = |mesh| {
+            let is_boundary = topology(mesh).boundary_vertices();
+            (0..is_boundary.len()).filter(|&v| !is_boundary[v]).collect::<Vec<_>>()
+        };
+        assert_eq!(inside(fixtures::tetrahedron()), [0, 1, 2, 3]);
+        assert_eq!(inside(fixtures::grid(2, 3)), [4, 7]);
+        assert!(inside(fixtures::open_fan()).is_empty(), "the hub is on the two rim edges");
+        assert!(inside(fixtures::three_on_an_edge()).is_empty());
+        let with_isolated = Topology::new(vec![[0, 1, 2], [0, 1, 2]], 4).expect("valid ids");
+        assert_eq!(with_isolated.boundary_vertices(), [false; 4], "two equal faces close each other");
     }
 
     #[test]

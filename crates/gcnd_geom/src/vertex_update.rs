@@ -46,15 +46,45 @@ pub fn update_vertices(
     check_len("vertices", topology.n_vertices(), vertices.len())?;
     check_vertices(vertices)?;
     let normals = unit_normals(normals, topology.n_faces())?;
-    let mut planes: Vec<Plane> = normals.into_iter().map(|normal| Plane { normal, offset: 0.0 }).collect();
+    let mut updater = VertexUpdater::new(topology, &normals, false);
     let mut current = vertices.to_vec();
-    let mut next = current.clone();
     for _ in 0..iterations {
-        place_planes(topology, &current, &mut planes);
-        step(topology, &current, &planes, &mut next);
-        std::mem::swap(&mut current, &mut next);
+        updater.step(&mut current);
     }
     Ok(current)
+}
+
+/// Eq. 6 at work, iteration by iteration, for the filters that end with it.
+pub(crate) struct VertexUpdater<'a> {
+    topology: &'a Topology,
+    planes: Vec<Plane>,
+    next: Vec<DVec3>,
+    /// Vertices that stay; empty for none.
+    is_fixed: Vec<bool>,
+}
+
+impl<'a> VertexUpdater<'a> {
+    /// Takes unit or zero normals (F); `fix_boundary` holds the vertices on a boundary.
+    pub fn new(topology: &'a Topology, normals: &[DVec3], fix_boundary: bool) -> Self {
+        let is_fixed = if fix_boundary { topology.boundary_vertices() } else { Vec::new() };
+        let planes = normals.iter().map(|&normal| Plane { normal, offset: 0.0 }).collect();
+        Self { topology, planes, next: Vec::new(), is_fixed }
+    }
+
+    /// Replaces the normals (F) by others.
+    pub fn set_normals(&mut self, normals: &[DVec3]) {
+        for (plane, &normal) in self.planes.iter_mut().zip(normals) {
+            plane.normal = normal;
+        }
+    }
+
+    /// One iteration.
+    pub fn step(&mut self, current: &mut Vec<DVec3>) {
+        place_planes(self.topology, current, &mut self.planes);
+        self.next.resize(current.len(), DVec3::ZERO);
+        step(self.topology, current, &self.planes, &self.is_fixed, &mut self.next);
+        std::mem::swap(current, &mut self.next);
+    }
 }
 
 /// The plane through a face's centroid across its given normal: n · x = offset.
@@ -78,7 +108,7 @@ fn place_planes(topology: &Topology, vertices: &[DVec3], planes: &mut [Plane]) {
 ///
 /// The two edges of a face at v_i add up to (v_a − v_i) + (v_b − v_i) = 3 (c − v_i), so the sum over them,
 /// over 3, is n (n · c − n · v_i): the way to the face's plane, and one record is read per face.
-fn step(topology: &Topology, current: &[DVec3], planes: &[Plane], next: &mut [DVec3]) {
+fn step(topology: &Topology, current: &[DVec3], planes: &[Plane], is_fixed: &[bool], next: &mut [DVec3]) {
     let vertex_faces = topology.vertex_faces();
     next.par_iter_mut().zip(current).enumerate().with_min_len(CHUNK).for_each(|(vertex_id, (moved, &v))| {
         let row = vertex_faces.row(vertex_id);
@@ -87,7 +117,8 @@ fn step(topology: &Topology, current: &[DVec3], planes: &[Plane], next: &mut [DV
             let Plane { normal, offset } = planes[face_id as usize];
             sum += normal * (offset - normal.dot(v));
         }
-        *moved = if row.is_empty() { v } else { v + sum / row.len() as f64 };
+        let stays = row.is_empty() || is_fixed.get(vertex_id) == Some(&true);
+        *moved = if stays { v } else { v + sum / row.len() as f64 };
     });
 }
 
@@ -174,6 +205,18 @@ mod tests {
         fixtures::jitter(&mut vertices, 0.2, 1);
         let update = |n| updated((vertices.clone(), faces.clone()), &vec![n; faces.len()], 5).expect("valid");
         assert_eq!(update(DVec3::Z), update(DVec3::Z * 1e-200));
+    }
+
+    #[test]
+    fn a_held_boundary_stays_and_the_inside_moves() {
+        let (mut vertices, faces) = fixtures::grid(4, 4);
+        fixtures::jitter(&mut vertices, 0.2, 1);
+        let topology = Topology::new(faces, vertices.len()).expect("valid");
+        let mut moved = vertices.clone();
+        VertexUpdater::new(&topology, &[DVec3::Z; 32], true).step(&mut moved);
+        for (vertex_id, is_boundary) in topology.boundary_vertices().into_iter().enumerate() {
+            assert_eq!(moved[vertex_id] == vertices[vertex_id], is_boundary, "vertex {vertex_id}");
+        }
     }
 
     #[test]

@@ -3,16 +3,20 @@
 use gcnd_geom::GeomError;
 use pyo3::{PyErr, PyResult};
 
+pyo3::import_exception!(gcnd.errors, GcndError);
 pyo3::import_exception!(gcnd.errors, MeshError);
 pyo3::import_exception!(gcnd.errors, ConfigError);
 
-/// Turns a core error into `MeshError` or, for parameters and array lengths, `ConfigError`.
+/// Turns a core error into `MeshError`, for parameters and array lengths `ConfigError`, for a filter that stopped
+/// `GcndError`.
 pub fn to_python(error: &GeomError) -> PyErr {
     let message = error.to_string();
     match error {
         GeomError::InvalidParameter { .. } | GeomError::LengthMismatch { .. } => {
             ConfigError::new_err(message)
         }
+        GeomError::Diverged { .. } => GcndError::new_err((message, "choose milder parameters")),
+        GeomError::Cancelled { .. } => GcndError::new_err(message),
         _ => MeshError::new_err(message),
     }
 }

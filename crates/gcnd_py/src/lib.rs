@@ -2,6 +2,7 @@
 #![allow(missing_docs, reason = "the Python stub `_geom.pyi` documents this module")]
 
 mod arrays;
+mod classical;
 mod errors;
 mod filters;
 mod kernels;
@@ -12,6 +13,11 @@ use pyo3::prelude::*;
 
 #[pymodule]
 mod _geom {
+    #[pymodule_export]
+    use super::classical::{
+        bilateral_mesh, bilateral_normal, bilateral_normal_implicit, fast_effective, guided_normal,
+        hc_laplacian, l0, laplacian, taubin,
+    };
     #[pymodule_export]
     use super::filters::{
         mean_edge_length, normal_angles, refine_consistent, refine_normals, remesh, update_vertices,

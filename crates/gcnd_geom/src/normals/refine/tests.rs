@@ -1,6 +1,8 @@
 use super::*;
+use crate::face_geometry::FaceGeometry;
 use crate::fixtures;
 use crate::mesh::Face;
+use crate::normals::neighborhood::NeighborScratch;
 
 fn params(iterations: usize, neighborhood: Neighborhood) -> RefineParams {
     RefineParams { iterations, neighborhood, ..RefineParams::default() }
@@ -13,8 +15,8 @@ fn refined(mesh: &(Vec<DVec3>, Vec<Face>), normals: &[DVec3], params: &RefinePar
 /// Ω of one face under a neighbourhood, without the face.
 fn neighborhood_of(mesh: &(Vec<DVec3>, Vec<Face>), face_id: usize, neighborhood: Neighborhood) -> Vec<u32> {
     let topology = Topology::new(mesh.1.clone(), mesh.0.len()).expect("valid");
-    let filter = Filter::new(&topology, &mesh.0, &params(1, neighborhood)).expect("valid");
-    filter.neighbors(face_id, &mut RingScratch::new(), &mut Vec::new()).to_vec()
+    let filter = Filter::new(&topology, &mesh.0, &params(1, neighborhood), OwnNormal::Counts).expect("valid");
+    filter.neighbors().of(face_id, &mut NeighborScratch::default()).to_vec()
 }
 
 #[test]
@@ -104,19 +106,6 @@ fn stored_and_recomputed_rows_agree_to_the_bit() {
         let worst = at_once.iter().zip(&one_by_one).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
         assert!(worst < 1e-14, "{worst}");
     }
-}
-
-#[test]
-fn a_chunk_over_its_memory_is_not_stored() {
-    let (vertices, faces) = fixtures::grid(8, 8);
-    let topology = Topology::new(faces, vertices.len()).expect("valid");
-    let filter = Filter::new(&topology, &vertices, &RefineParams::default()).expect("valid");
-    let mut scratch = RingScratch::new();
-    assert!(filter.chunk_rows(0..128, 100, &mut scratch).is_none());
-    let rows = filter.chunk_rows(0..128, 2000, &mut scratch).expect("fits");
-    assert_eq!(rows.ends.len(), 128);
-    assert_eq!(rows.neighbors.len(), rows.weights.len());
-    assert!(filter.stored_rows(0)[0].is_none() && filter.stored_rows(1)[0].is_some());
 }
 
 #[test]

@@ -1,0 +1,198 @@
+"""The classical filters, which need no network: names, parameters and one function that runs any of them."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass
+from numbers import Integral, Real
+from typing import TYPE_CHECKING, Any
+
+from gcnd import _geom
+from gcnd.errors import ConfigError, check_count
+from gcnd.mesh_io import to_arrays
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+__all__ = ["FilterInfo", "apply_filter", "list_filters", "parse_parameters"]
+
+
+@dataclass(frozen=True)
+class FilterInfo:
+    """Describes one filter.
+
+    Attributes:
+        name: What ``apply_filter`` and ``gcnd denoise --method`` call it.
+        description: What it does, in a line.
+        source: The paper that it follows.
+        parameters: Names and defaults; None stands for a value taken from the mesh.
+    """
+
+    name: str
+    description: str
+    source: str
+    parameters: dict[str, bool | int | float | None]
+
+
+# A new filter is one function of the core and one line here.
+_FILTERS: dict[str, tuple[Callable[..., Any], str, str]] = {
+    "bilateral": (_geom.bilateral_mesh, "bilateral filter on positions", "Fleishman et al. 2003"),
+    "bilateral-normal": (_geom.bilateral_normal, "bilateral filter on normals", "Zheng et al. 2011"),
+    "bilateral-normal-implicit": (
+        _geom.bilateral_normal_implicit,
+        "bilateral filter on normals, all at once",
+        "Zheng et al. 2011",
+    ),
+    "guided-normal": (_geom.guided_normal, "bilateral filter on normals under guidance", "Zhang et al. 2015"),
+    "l0": (_geom.l0, "as few bent edges as possible", "He, Schaefer 2013"),
+    "fast-effective": (_geom.fast_effective, "thresholded averages of normals", "Sun et al. 2007"),
+    "laplacian": (_geom.laplacian, "averages of positions", "Taubin 1995"),
+    "taubin": (_geom.taubin, "averages of positions without shrinking", "Taubin 1995"),
+    "hc-laplacian": (_geom.hc_laplacian, "averages of positions, pushed back", "Vollmer et al. 1999"),
+}
+
+
+def list_filters() -> list[FilterInfo]:
+    """Lists the filters.
+
+    Returns:
+        One entry for each, in no order that matters.
+
+    Example:
+        >>> [info.source for info in list_filters() if info.name == "guided-normal"]
+        ['Zhang et al. 2015']
+    """
+    return [
+        FilterInfo(name, description, source, _defaults(function))
+        for name, (function, description, source) in _FILTERS.items()
+    ]
+
+
+def apply_filter(
+    mesh: Any, method: str, *, progress: Callable[[float, str], object] | None = None, **parameters: Any
+) -> Any:
+    """Removes noise from a triangle mesh by a classical filter.
+
+    Faces and the order of vertices stay; only positions change. Vertices at exactly the same position move together.
+    The input is left as it is.
+
+    Args:
+        mesh: A ``trimesh.Trimesh``, a pair (vertices (V, 3), faces (F, 3)) of numpy or torch arrays, or a path.
+        method: Name of the filter; ``list_filters`` has them.
+        progress: Called after each iteration with (fraction done, the filter's name); what it raises stops the
+            filter.
+        parameters: Of the filter, as ``list_filters`` has them; lengths in mesh units. What Python keeps for itself
+            has an underscore: ``lambda_``.
+
+    Returns:
+        The same kind as ``mesh`` (a ``trimesh.Trimesh`` for a path), with float64 positions or the input's dtype.
+
+    Raises:
+        MeshError: The mesh cannot be worked on: no faces, NaN, an index out of range, a file that is not a mesh.
+        ConfigError: The filter or a parameter is unknown, or a parameter is out of range.
+        GcndError: The filter diverged.
+
+    Example:
+        >>> import trimesh
+        >>> noisy = trimesh.creation.icosphere(subdivisions=3)
+        >>> clean = apply_filter(noisy, "bilateral-normal", sigma_r=0.45)
+        >>> bool((clean.faces == noisy.faces).all())
+        True
+    """
+    function = _find(method)
+    options = _checked(method, _defaults(function), parameters)
+    arrays, rebuild = to_arrays(mesh)
+    _geom.validate(arrays.vertices, arrays.faces)
+    representatives, welded = _geom.weld(arrays.vertices)
+    vertices = arrays.vertices[representatives]
+    # Work around the origin: far away from it, single positions keep fewer digits than noise has.
+    origin = vertices.mean(axis=0)
+    topology = _geom.Topology(welded[arrays.faces], len(vertices))
+
+    def report(iteration: int, total: int) -> None:
+        if progress is not None:
+            progress(iteration / total, method)
+
+    moved = function(topology, vertices - origin, progress=report, **options) + origin
+    return rebuild(moved[welded])
+
+
+def parse_parameters(method: str, texts: Mapping[str, str]) -> dict[str, bool | int | float]:
+    """Reads a filter's parameters from text, as the command line has them.
+
+    Args:
+        method: Name of the filter.
+        texts: Values by name; ``lambda`` serves for ``lambda_``.
+
+    Returns:
+        Values for ``apply_filter``.
+
+    Raises:
+        ConfigError: The filter or a parameter is unknown, or a value is not of its kind.
+
+    Example:
+        >>> parse_parameters("taubin", {"lambda": "0.4", "iterations": "3", "fix_boundary": "false"})
+        {'lambda_': 0.4, 'iterations': 3, 'fix_boundary': False}
+    """
+    defaults = _defaults(_find(method))
+    parsed: dict[str, bool | int | float] = {}
+    for given, text in texts.items():
+        name = _known(method, defaults, given)
+        kind = type(defaults[name])
+        try:
+            if kind is bool:
+                parsed[name] = {"true": True, "false": False}[text.lower()]
+            else:
+                parsed[name] = int(text) if kind is int else float(text)
+        except (KeyError, ValueError):
+            raise ConfigError(f"{given} is {text}, allowed: {_allowed(defaults[name])}") from None
+    return parsed
+
+
+def _find(method: str) -> Callable[..., Any]:
+    if method not in _FILTERS:
+        raise ConfigError(f"there is no filter {method!r}", hint=f"filters are {', '.join(_FILTERS)}")
+    return _FILTERS[method][0]
+
+
+def _defaults(function: Callable[..., Any]) -> dict[str, bool | int | float | None]:
+    """A filter's own parameters, which stand in its signature as keywords, `progress` last."""
+    signature = inspect.signature(function)
+    keywords = [p for p in signature.parameters.values() if p.kind is inspect.Parameter.KEYWORD_ONLY]
+    return {p.name: p.default for p in keywords if p.name != "progress"}
+
+
+def _known(method: str, defaults: Mapping[str, Any], name: str) -> str:
+    for candidate in (name, f"{name}_"):
+        if candidate in defaults:
+            return candidate
+    names = ", ".join(known.removesuffix("_") for known in defaults)
+    raise ConfigError(f"{method} has no parameter {name!r}", hint=f"its parameters are {names}")
+
+
+def _checked(method: str, defaults: Mapping[str, Any], parameters: Mapping[str, Any]) -> dict[str, Any]:
+    checked: dict[str, Any] = {}
+    for given, value in parameters.items():
+        name = _known(method, defaults, given)
+        default = defaults[name]
+        if value is None and default is None:
+            continue
+        is_bool = isinstance(value, bool)
+        if isinstance(default, bool):
+            is_right = is_bool
+        elif isinstance(default, int):
+            is_right = isinstance(value, Integral) and not is_bool
+        else:
+            is_right = isinstance(value, Real) and not is_bool
+        if not is_right:
+            raise ConfigError(f"{given} is {value!r}, allowed: {_allowed(default)}")
+        if isinstance(default, int) and not is_bool:
+            check_count(given, value)
+        checked[name] = value
+    return checked
+
+
+def _allowed(default: bool | int | float | None) -> str:
+    if isinstance(default, bool):
+        return "true or false"
+    return "a whole number" if isinstance(default, int) else "a number"
