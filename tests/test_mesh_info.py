@@ -27,6 +27,7 @@ def test_tetrahedron() -> None:
         "duplicate_vertices": 0,
         "bounding_box_diagonal": pytest.approx(3**0.5, abs=1e-15),
         "mean_edge_length": pytest.approx((3 + 3 * 2**0.5) / 6, abs=1e-15),
+        "edge_length_variation": pytest.approx(3 - 2 * 2**0.5, abs=1e-15),
         "watertight": True,
     }
 
@@ -100,6 +101,8 @@ def test_soup_of_a_closed_mesh_is_watertight() -> None:
     assert info["components"] == 1
     assert info["duplicate_vertices"] == len(corners) - len(sphere.vertices)
     assert info["mean_edge_length"] == pytest.approx(sphere.edges_unique_length.mean(), rel=1e-12)
+    relative = sphere.edges_unique_length / sphere.edges_unique_length.mean()
+    assert info["edge_length_variation"] == pytest.approx(relative.std(), rel=1e-9)
 
 
 @pytest.mark.parametrize("scale", [1e-150, 1e-6, 1e6, 1e150])

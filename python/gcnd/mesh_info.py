@@ -27,6 +27,7 @@ class MeshInfo(TypedDict):
     duplicate_vertices: int
     bounding_box_diagonal: float
     mean_edge_length: float
+    edge_length_variation: float
     watertight: bool
 
 
@@ -52,6 +53,8 @@ def mesh_info(vertices: ArrayLike, faces: ArrayLike) -> MeshInfo:
         - `duplicate_faces`: faces with the same three corners as an earlier face, in any order.
         - `duplicate_vertices`: vertices at the position of an earlier vertex.
         - `bounding_box_diagonal`: of all vertices. `mean_edge_length`: of all edges, each counted once.
+        - `edge_length_variation`: standard deviation of the edge lengths over their mean; 0.1 for even triangles, 0.5
+          for a mesh thinned out.
         - `watertight`: whether every edge belongs to exactly two faces, and there is one.
 
     Example:
@@ -85,6 +88,7 @@ def mesh_info(vertices: ArrayLike, faces: ArrayLike) -> MeshInfo:
         duplicate_vertices=len(points) - n_welded,
         bounding_box_diagonal=float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0,
         mean_edge_length=float(lengths.mean()) if len(lengths) else 0.0,
+        edge_length_variation=float((lengths / lengths.mean()).std()) if lengths.any() else 0.0,
         watertight=len(edges) > 0 and boundary == 0 and non_manifold == 0,
     )
 

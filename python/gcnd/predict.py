@@ -27,7 +27,8 @@ PATCH_NODES_IN_FLIGHT = 1 << 14
 def fast_precision(device: torch.device | str) -> Precision:
     """Returns the fastest precision measured safe on a device.
 
-    bfloat16 on processors that multiply matrices in it: 0.3 to 0.7 of the time, E_a within 0.005° (docs/experiments.md);
+    bfloat16 on processors that multiply matrices in it: 0.3 to 0.7 of the time, E_a within 0.005°
+    (docs/experiments.md);
     float32 elsewhere, CUDA included, where it has not been measured.
     """
     supported = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
