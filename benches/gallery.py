@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gcnd import _geom
 from gcnd.data.noise import add_noise
 from gcnd.denoise import denoise_arrays
 from gcnd.mesh_io import load, to_arrays
@@ -39,8 +38,8 @@ def main() -> None:
     cascade = load_cascade(options.preset)
     for path in options.meshes:
         arrays, _ = to_arrays(load(path))
-        representatives, welded = _geom.weld(arrays.vertices)
-        truth, faces = arrays.vertices[representatives], welded[arrays.faces]
+        mesh, _ = arrays.welded()
+        truth, faces = mesh.vertices, mesh.faces
         noisy = truth if options.as_is else add_noise(truth, faces, level=options.level, seed=7)
         clean = denoise_arrays(noisy, faces, cascade)
         rows = panels(truth, noisy, clean, faces, options.as_is)

@@ -79,10 +79,10 @@ def denoise(
     arrays, rebuild = to_arrays(mesh)
     _geom.validate(arrays.vertices, arrays.faces)
     cascade = load_cascade(preset, device)
-    representatives, welded = _geom.weld(arrays.vertices)
+    mesh_once, ids = arrays.welded()
     vertices = denoise_arrays(
-        arrays.vertices[representatives],
-        welded[arrays.faces],
+        mesh_once.vertices,
+        mesh_once.faces,
         cascade,
         device=device,
         seed=seed,
@@ -91,7 +91,7 @@ def denoise(
         precision=precision,
         progress=progress,
     )
-    return rebuild(vertices[welded])
+    return rebuild(vertices[ids])
 
 
 def denoise_arrays(

@@ -103,18 +103,18 @@ def apply_filter(
     options = _checked(method, _defaults(function), parameters)
     arrays, rebuild = to_arrays(mesh)
     _geom.validate(arrays.vertices, arrays.faces)
-    representatives, welded = _geom.weld(arrays.vertices)
-    vertices = arrays.vertices[representatives]
+    mesh_once, ids = arrays.welded()
+    vertices = mesh_once.vertices
     # Work around the origin: far away from it, single positions keep fewer digits than noise has.
     origin = vertices.mean(axis=0)
-    topology = _geom.Topology(welded[arrays.faces], len(vertices))
+    topology = _geom.Topology(mesh_once.faces, len(vertices))
 
     def report(iteration: int, total: int) -> None:
         if progress is not None:
             progress(iteration / total, method)
 
     moved = function(topology, vertices - origin, progress=report, **options) + origin
-    return rebuild(moved[welded])
+    return rebuild(moved[ids])
 
 
 def parse_parameters(method: str, texts: Mapping[str, str]) -> dict[str, bool | int | float]:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gcnd import _geom
 from gcnd.errors import MeshError
 from gcnd.formats.atomic import write_atomic
 from gcnd.formats.export import encode, texture_colors
@@ -58,6 +59,24 @@ class MeshArrays:
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.uint32]
+
+    def welded(self) -> tuple[MeshArrays, NDArray[np.uint32]]:
+        """Joins vertices at exactly the same position.
+
+        Returns:
+            The mesh with each position once, and for each vertex of this mesh its vertex there (V,): with positions
+            ``moved`` of the former, ``moved[ids]`` are those of this mesh.
+
+        Choice: docs/choices.md#welding.
+
+        Example:
+            >>> arrays, _ = to_arrays(([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0]], [[3, 1, 2]]))
+            >>> mesh, ids = arrays.welded()
+            >>> len(mesh.vertices), mesh.faces.tolist(), ids.tolist()
+            (3, [[0, 1, 2]], [0, 1, 2, 0])
+        """
+        representatives, ids = _geom.weld(self.vertices)
+        return MeshArrays(self.vertices[representatives], ids[self.faces]), ids
 
 
 def to_arrays(mesh: Any) -> tuple[MeshArrays, Callable[[ArrayLike], Any]]:

@@ -65,6 +65,26 @@ pub fn hourglass() -> MeshParts {
     (vec![v(0., 0.), v(1., 0.5), v(1., -0.5), v(-1., 0.5), v(-1., -0.5)], vec![[0, 2, 1], [0, 3, 4]])
 }
 
+/// Each face into four, at its edge midpoints.
+pub fn split((vertices, faces): &MeshParts) -> MeshParts {
+    let mut vertices = vertices.clone();
+    let mut midpoints = HashMap::new();
+    let mut midpoint = |a: u32, b: u32| {
+        *midpoints.entry((a.min(b), a.max(b))).or_insert_with(|| {
+            vertices.push((vertices[a as usize] + vertices[b as usize]) / 2.0);
+            vertices.len() as u32 - 1
+        })
+    };
+    let faces = faces
+        .iter()
+        .flat_map(|&[a, b, c]| {
+            let [ab, bc, ca] = [midpoint(a, b), midpoint(b, c), midpoint(c, a)];
+            [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+        })
+        .collect();
+    (vertices, faces)
+}
+
 /// A flat grid of `nx` × `ny` unit squares in the plane z = 0, two triangles each, facing +z.
 pub fn grid(nx: u32, ny: u32) -> MeshParts {
     let vertices =

@@ -105,29 +105,9 @@ fn noisy_sphere() -> MeshParts {
 fn split_cube(levels: u32) -> MeshParts {
     let mut mesh = fixtures::cube();
     for _ in 0..levels {
-        mesh = split(&mesh);
+        mesh = fixtures::split(&mesh);
     }
     mesh
-}
-
-/// Each face into four, at its edge midpoints.
-fn split((vertices, faces): &MeshParts) -> MeshParts {
-    let mut vertices = vertices.clone();
-    let mut midpoints = std::collections::HashMap::new();
-    let mut midpoint = |a: u32, b: u32| {
-        *midpoints.entry((a.min(b), a.max(b))).or_insert_with(|| {
-            vertices.push((vertices[a as usize] + vertices[b as usize]) / 2.0);
-            vertices.len() as u32 - 1
-        })
-    };
-    let faces = faces
-        .iter()
-        .flat_map(|&[a, b, c]| {
-            let [ab, bc, ca] = [midpoint(a, b), midpoint(b, c), midpoint(c, a)];
-            [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-        })
-        .collect();
-    (vertices, faces)
 }
 
 /// Two meshes as one, the second moved.

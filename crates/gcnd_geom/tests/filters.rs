@@ -203,7 +203,7 @@ fn refining_and_updating_denoise_a_cube() {
     let (mut vertices, faces) = fixtures::cube();
     let mut mesh = (std::mem::take(&mut vertices), faces);
     for _ in 0..4 {
-        mesh = split(&mesh);
+        mesh = fixtures::split(&mesh);
     }
     let truth = face_normals(&mesh);
     let clean = mesh.0.clone();
@@ -218,26 +218,6 @@ fn refining_and_updating_denoise_a_cube() {
     assert!(refined_error < 1.0 && updated_error < 1.5, "{refined_error} {updated_error}");
     let e_v = |v: &[DVec3]| vertex_error(v, &mesh.1, &clean, &mesh.1, 50_000, 0).expect("valid");
     assert!(e_v(&moved.0) < e_v(&mesh.0));
-}
-
-/// Each face into four, at its edge midpoints.
-fn split((vertices, faces): &MeshParts) -> MeshParts {
-    let mut vertices = vertices.clone();
-    let mut midpoints = std::collections::HashMap::new();
-    let mut midpoint = |a: u32, b: u32| {
-        *midpoints.entry((a.min(b), a.max(b))).or_insert_with(|| {
-            vertices.push((vertices[a as usize] + vertices[b as usize]) / 2.0);
-            vertices.len() as u32 - 1
-        })
-    };
-    let faces = faces
-        .iter()
-        .flat_map(|&[a, b, c]| {
-            let [ab, bc, ca] = [midpoint(a, b), midpoint(b, c), midpoint(c, a)];
-            [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-        })
-        .collect();
-    (vertices, faces)
 }
 
 #[test]

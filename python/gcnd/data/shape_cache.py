@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -14,6 +12,7 @@ import numpy as np
 
 from gcnd.data.shapes import SHAPE_KINDS, Shape, ShapeKind, make_shape
 from gcnd.errors import ConfigError
+from gcnd.formats.atomic import write_atomic_npz
 
 SHAPES_VERSION = 4
 """Raise when `make_shape` changes what a seed gives: older files are then ignored."""
@@ -122,20 +121,8 @@ def _make_file(folder: Path, seed: int, kind: ShapeKind) -> None:
 
 def _make(folder: Path, seed: int, kind: ShapeKind) -> Shape:
     shape = make_shape(seed, kind)
-    _write(shape_path(folder, seed, kind), shape)
+    write_atomic_npz(shape_path(folder, seed, kind), **vars(shape))
     return shape
-
-
-def _write(path: Path, shape: Shape) -> None:
-    """Write under another name and rename, so that no reader ever sees half a file."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".shape-", suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, name=shape.name, kind=shape.kind, vertices=shape.vertices, faces=shape.faces)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
 
 
 def _read(path: Path) -> Shape | None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import os
 import secrets
 import shutil
 from pathlib import Path
+from typing import Any
 
-__all__ = ["write_atomic"]
+import numpy as np
+
+__all__ = ["write_atomic", "write_atomic_npz"]
 
 
 def write_atomic(path: str | os.PathLike[str], data: bytes) -> None:
@@ -39,3 +43,21 @@ def write_atomic(path: str | os.PathLike[str], data: bytes) -> None:
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
+
+
+def write_atomic_npz(path: str | os.PathLike[str], **arrays: Any) -> None:
+    """Writes named arrays to an ``.npz`` file as `write_atomic` writes bytes.
+
+    Args:
+        path: Where to write.
+        arrays: What to write, by name.
+
+    Raises:
+        OSError: If the folder cannot be written to or is full.
+
+    Example:
+        >>> write_atomic_npz("shape.npz", faces=np.zeros((1, 3)))  # doctest: +SKIP
+    """
+    data = io.BytesIO()
+    np.savez(data, **arrays)
+    write_atomic(path, data.getvalue())

@@ -50,7 +50,7 @@ def mean_over_processes(x: Tensor) -> Tensor:
 @contextmanager
 def first_process_first() -> Iterator[None]:
     """Lets the first process through before the others, which then find on disk what it made."""
-    if n_processes() > 1 and process_rank() > 0:
+    if process_rank() > 0:
         dist.barrier()
     yield
     if n_processes() > 1 and process_rank() == 0:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gcnd import _geom
 from gcnd.data.pairs import PairFiles, list_pairs, load_pair
 from gcnd.errors import ConfigError, GcndError
 from gcnd.mesh_io import SUPPORTED, load, to_arrays
@@ -94,9 +93,8 @@ def _procedural(n: int, seed: int, folder: Path) -> list[CleanShape]:
 def _given_shape(path: Path) -> CleanShape:
     arrays, _ = to_arrays(load(path))
     kind = path.parent.name if path.parent.name in ("cad", "smooth", "feature") else "feature"
-    representatives, welded = _geom.weld(arrays.vertices)
-    vertices, faces = arrays.vertices[representatives], welded[arrays.faces]
-    return CleanShape(path.stem, kind, vertices, faces, draw_weight=MESH_WEIGHT)
+    mesh, _ = arrays.welded()
+    return CleanShape(path.stem, kind, mesh.vertices, mesh.faces, draw_weight=MESH_WEIGHT)
 
 
 class PairSource:

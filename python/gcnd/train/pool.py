@@ -10,6 +10,7 @@ import torch
 
 from gcnd import _geom
 from gcnd.errors import ConfigError
+from gcnd.formats.atomic import write_atomic_npz
 from gcnd.predict import Precision, predict_normals
 
 if TYPE_CHECKING:
@@ -72,7 +73,9 @@ class DenoisedPool:
                 shape, noisy = noise.draw(np.random.default_rng([seed, _STREAM, number]))
                 vertices = run_stages(shape, noisy, stages, seed + number, device, precision)
                 index = by_identity[id(shape)]
-                _save(path, index, prints[index], vertices)
+                write_atomic_npz(
+                    path, shape=index, fingerprint=prints[index], vertices=vertices.astype(np.float32)
+                )
             self.members.append(_load(path, prints))
             if progress is not None:
                 progress(number + 1, size)
@@ -94,13 +97,6 @@ def fingerprint(shape: CleanShape) -> str:
     """
     arrays = (shape.vertices, shape.faces)
     return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
-
-
-def _save(path: Path, index: int, mark: str, vertices: NDArray[np.float64]) -> None:
-    partial = path.with_suffix(".part")
-    with partial.open("wb") as file:
-        np.savez(file, shape=index, fingerprint=mark, vertices=vertices.astype(np.float32))
-    partial.replace(path)
 
 
 def _load(path: Path, prints: list[str]) -> tuple[int, NDArray[np.float32]]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from gcnd import _geom
 from gcnd.errors import ConfigError, GcndError
+from gcnd.formats.atomic import write_atomic
 from gcnd.picture import Panel, save_panels
 
 _STYLE = """
@@ -51,9 +52,7 @@ def write_report(run: Path, out: Path) -> None:
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(run.resolve().name)}</title>"
         f"<style>{_STYLE}</style><body>{''.join(parts)}</body></html>\n"
     )
-    partial = out.with_name(out.name + ".part")
-    partial.write_text(page, encoding="utf-8")
-    partial.replace(out)
+    write_atomic(out, page.encode())
 
 
 def read_log(run: Path) -> list[dict[str, Any]]:

@@ -13,6 +13,7 @@ import torch
 from gcnd import _geom
 from gcnd.denoise import denoise_arrays
 from gcnd.errors import ConfigError
+from gcnd.formats.atomic import write_atomic_npz
 from gcnd.nn.cascade import Cascade, CascadeConfig, written_out
 from gcnd.nn.distributed import first_process_first, process_rank
 from gcnd.nn.networks import build_network
@@ -112,27 +113,23 @@ class TrainingRun:
         ready = cascade.for_inference().to(self.device)
         for number, (shape, noisy) in enumerate(self.corpus.validation[:N_EXAMPLES], start=1):
             denoised = denoise_arrays(noisy, shape.faces, ready, device=self.device)
-            partial = self.folder / f"example-{number}.part"
-            with partial.open("wb") as file:
-                np.savez(
-                    file,
-                    name=shape.name,
-                    faces=shape.faces,
-                    clean=shape.vertices,
-                    noisy=noisy,
-                    denoised=denoised,
-                )
-            partial.replace(self.folder / f"example-{number}.npz")
+            write_atomic_npz(
+                self.folder / f"example-{number}.npz",
+                name=shape.name,
+                faces=shape.faces,
+                clean=shape.vertices,
+                noisy=noisy,
+                denoised=denoised,
+            )
 
     def _train_stage(
         self, index: int, config: TrainConfig, earlier: list[tuple[StageConfig, nn.Module]]
     ) -> dict[str, torch.Tensor]:
         before = written_out(earlier)
         source = self._source(index, config, before)
-        validated = self.corpus.validation if self.is_first else []
         starts = [
             (shape, run_stages(shape, noisy, before, 0, self.device, config.precision))
-            for shape, noisy in validated
+            for shape, noisy in (self.corpus.validation if self.is_first else [])
         ]
         trainer = Trainer(config, source, self._initial_weights(index, config, earlier), self.device)
         checkpoint = self.folder / f"stage{index + 1}.checkpoint.safetensors"

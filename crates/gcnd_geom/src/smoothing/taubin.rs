@@ -1,9 +1,9 @@
 //! Taubin smoothing: a shrinking and a growing pass by turns.
 
 use crate::error::{Result, check_parameter};
-use crate::smoothing::umbrella::Umbrella;
+use crate::smoothing::umbrella::smooth;
 use crate::topology::Topology;
-use crate::watch::{Run, Watch};
+use crate::watch::Watch;
 use glam::DVec3;
 
 /// Parameters of [`taubin`].
@@ -78,17 +78,7 @@ pub fn taubin(
     watch: &mut Watch<'_>,
 ) -> Result<Vec<DVec3>> {
     params.validate()?;
-    let (mut run, mut current) = Run::start(topology, vertices, params.iterations, watch)?;
-    let umbrella = Umbrella::new(topology, params.fix_boundary);
-    let mut next = current.clone();
-    for _ in 0..params.iterations {
-        for factor in [params.lambda, params.mu] {
-            umbrella.step(&current, factor, &mut next);
-            std::mem::swap(&mut current, &mut next);
-        }
-        run.tick_positions(&current)?;
-    }
-    Ok(run.finish(current))
+    smooth(topology, vertices, &[params.lambda, params.mu], params.iterations, params.fix_boundary, watch)
 }
 
 #[cfg(test)]

@@ -1,7 +1,9 @@
 //! Vertices across an edge, and the umbrella operator that averages them.
 
 use crate::csr::Csr;
+use crate::error::Result;
 use crate::topology::Topology;
+use crate::watch::{Run, Watch};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -31,6 +33,29 @@ pub(crate) fn adjacent_vertices(topology: &Topology) -> Csr {
         .collect();
     let lengths: Vec<u32> = chunks.iter().flat_map(|(lengths, _)| lengths.iter().copied()).collect();
     Csr::from_lengths(&lengths, chunks.into_iter().flat_map(|(_, values)| values).collect())
+}
+
+/// Moves every vertex towards the mean of its neighbours by each of `factors` in turn, `iterations` times; a negative
+/// factor moves it away.
+pub(crate) fn smooth(
+    topology: &Topology,
+    vertices: &[DVec3],
+    factors: &[f64],
+    iterations: usize,
+    fix_boundary: bool,
+    watch: &mut Watch<'_>,
+) -> Result<Vec<DVec3>> {
+    let (mut run, mut current) = Run::start(topology, vertices, iterations, watch)?;
+    let umbrella = Umbrella::new(topology, fix_boundary);
+    let mut next = current.clone();
+    for _ in 0..iterations {
+        for &factor in factors {
+            umbrella.step(&current, factor, &mut next);
+            std::mem::swap(&mut current, &mut next);
+        }
+        run.tick_positions(&current)?;
+    }
+    Ok(run.finish(current))
 }
 
 /// The umbrella operator on a mesh.
