@@ -254,10 +254,10 @@ def gather_max_backward(grad_out: NDArray[Any], argmax: NDArray[np.int16], grad:
 def gather_sum(values: NDArray[Any], neighbors: NDArray[np.int32], out: NDArray[Any]) -> None: ...
 def gather_sum_backward(grad_out: NDArray[Any], neighbors: NDArray[np.int32], grad: NDArray[Any]) -> None: ...
 def edge_max_leaky(
-    a: NDArray[np.float32],
-    b: NDArray[np.float32],
+    parts: NDArray[Any],
+    scale: NDArray[np.float32],
     neighbors: NDArray[np.int32],
     slope: float,
-    out: NDArray[np.float32],
+    out: NDArray[Any],
 ) -> None: ...
 def knn(features: NDArray[Any], out: NDArray[np.int32]) -> None: ...

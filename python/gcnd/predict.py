@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from functools import partial
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
 
 from gcnd import _geom
 from gcnd.nn.cascade import PatchConfig, RefinementConfig, StageConfig
+from gcnd.nn.fold import Precision, for_inference
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
     from torch import nn
-
-Precision = Literal["float32", "bfloat16"]
 
 PATCH_NODES_IN_FLIGHT = 1 << 14
 """Patch nodes extracted at a time; bounds the memory of prediction whatever the mesh."""
@@ -132,7 +130,7 @@ def predict_normals(
         network: Maps (P, N, C) features and (P, N, 3) neighbours to (P, N, 3) or (P, 3) normals.
         seed: Chooses the patch centres.
         device: Where the network's weights are.
-        precision: Of the network's matrix products and activations.
+        precision: Of the network's linear layers and of what passes between them.
         progress: Called with the fraction done.
 
     Returns:
@@ -150,8 +148,7 @@ def predict_normals(
     )
     batch = max(1, PATCH_NODES_IN_FLIGHT // stage.patch.n_nodes)
     buffers = PatchArrays(min(batch, topology.n_faces), stage.patch)
-    network.eval()
-    predict = partial(_predict, network, device=torch.device(device), precision=precision)
+    predict = partial(_predict, for_inference(network.eval(), precision), torch.device(device))
     for done, chunk in _chunks(centers, batch):
         _add_chunk(extractor, accumulator, buffers.head(len(chunk)), chunk, predict, per_node)
         if progress is not None:
@@ -188,15 +185,11 @@ def refined(
 
 
 @torch.inference_mode()
-def _predict(
-    network: nn.Module, patches: PatchArrays, *, device: torch.device, precision: Precision
-) -> NDArray[np.float32]:
+def _predict(network: nn.Module, device: torch.device, patches: PatchArrays) -> NDArray[np.float32]:
     features = torch.from_numpy(patches.features).to(device)
     neighbors = torch.from_numpy(patches.neighbors).to(device)
-    low = precision == "bfloat16"
-    with torch.autocast(device.type, dtype=torch.bfloat16) if low else nullcontext():
-        predicted: torch.Tensor = network(features, neighbors)
-    return predicted.float().cpu().numpy()
+    predicted: torch.Tensor = network(features, neighbors)
+    return predicted.cpu().numpy()
 
 
 def _add_chunk(

@@ -145,30 +145,25 @@ def test_memory_layout_does_not_matter() -> None:
         assert all(torch.equal(a, b) for a, b in zip(found, expected, strict=True))
     assert torch.equal(ops.knn(strided_values, 5), ops.knn(values, 5))
     assert torch.equal(
-        ops.edge_max_leaky(strided_values, strided_values, strided_neighbors, 0.2),
-        ops.edge_max_leaky(values, values, neighbors, 0.2),
+        ops.edge_max_leaky(strided_values, torch.ones(10), strided_neighbors, 0.2),
+        ops.edge_max_leaky(values, torch.ones(10), neighbors, 0.2),
     )
 
 
 @shapes
 @pytest.mark.parametrize("slope", [0.0, 0.2, 1.0])
-def test_edge_max_leaky_is_the_formula_in_one_pass(shape: tuple[int, int, int, int], slope: float) -> None:
-    b, neighbors = case(shape, torch.float32)
-    a = random_values(*shape[:3], seed=3)
-    expected = leaky_relu(a + torch.from_numpy(by_definition("gather_max", b, neighbors)).float(), slope)
+@dtypes
+def test_edge_max_leaky_is_the_formula_in_one_pass(
+    shape: tuple[int, int, int, int], slope: float, dtype: torch.dtype
+) -> None:
+    b, neighbors = case(shape, dtype)
+    a, scale = random_values(*shape[:3], seed=3).to(dtype), random_values(shape[2], seed=4)
+    parts = torch.cat([a, b], dim=-1)
+    largest = torch.from_numpy(by_definition("gather_max", b, neighbors)).float()
+    expected = leaky_relu(a.float() + scale * largest, slope).to(dtype)
     with ops.plain_torch():
-        plain = ops.edge_max_leaky(a, b, neighbors, slope)
-    assert torch.equal(plain, expected)
-    assert torch.equal(ops.edge_max_leaky(a, b, neighbors, slope), expected)
-
-
-def test_edge_max_leaky_in_bfloat16_has_the_plain_values() -> None:
-    b, neighbors = case((2, 33, 17, 8), torch.bfloat16)
-    a = random_values(2, 33, 17, seed=3).bfloat16()
-    native = ops.edge_max_leaky(a, b, neighbors, 0.2)
-    with ops.plain_torch():
-        assert torch.equal(native, ops.edge_max_leaky(a, b, neighbors, 0.2))
-    assert native.dtype == torch.bfloat16
+        assert torch.equal(ops.edge_max_leaky(parts, scale, neighbors, slope), expected)
+    assert torch.equal(ops.edge_max_leaky(parts, scale, neighbors, slope), expected)
 
 
 # --- nearest neighbours --------------------------------------------------------------------------------
@@ -240,7 +235,7 @@ def test_a_neighbor_outside_the_patch_is_named(op: Callable[[Tensor, Tensor], Te
     with pytest.raises(ConfigError, match=rf"{bad} at \[1, 3, 1\]"):
         op(values, neighbors)
     with pytest.raises(ConfigError, match=rf"{bad} at \[1, 3, 1\]"):
-        ops.edge_max_leaky(values, values, neighbors, 0.2)
+        ops.edge_max_leaky(torch.cat([values, values], -1), torch.ones(3), neighbors, 0.2)
 
 
 @pytest.mark.parametrize("k", [0, 6])
@@ -253,7 +248,7 @@ def test_knn_refuses_more_neighbors_than_nodes(k: int) -> None:
 def test_edge_max_leaky_refuses_a_slope_that_decreases(slope: float) -> None:
     values, neighbors = case((2, 5, 3, 2), torch.float32)
     with pytest.raises(ConfigError, match="slope"):
-        ops.edge_max_leaky(values, values, neighbors, slope)
+        ops.edge_max_leaky(torch.cat([values, values], -1), torch.ones(3), neighbors, slope)
 
 
 def test_patch_counts_must_agree() -> None:

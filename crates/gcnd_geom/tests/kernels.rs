@@ -7,6 +7,12 @@ use gcnd_geom::{GeomError, Result};
 use proptest::collection::vec;
 use proptest::prelude::*;
 
+/// For each node its row of `a` and then its row of `b`.
+fn side_by_side(a: &[f32], b: &[f32], n_channels: usize) -> Vec<f32> {
+    let rows = a.chunks_exact(n_channels).zip(b.chunks_exact(n_channels));
+    rows.flat_map(|(a, b)| [a, b].concat()).collect()
+}
+
 /// A gather: values, neighbours and their shape.
 #[derive(Debug, Clone)]
 struct Gather {
@@ -138,14 +144,22 @@ proptest! {
     #[test]
     fn edge_max_leaky_equals_the_loop(gather in gathers(), slope in 0.0f32..=1.0) {
         let (best, _) = naive_gather_max(&gather);
-        let a: Vec<f32> = (0..best.len()).map(|i| (i * 7 % 13) as f32 * 0.37 - 2.0).collect();
+        let n_channels = gather.shape.n_channels;
+        let a: Vec<f32> = (0..best.len()).map(|i| (i * 7 % 13) as f32 * 0.5 - 2.0).collect();
+        let scale: Vec<f32> = (0..n_channels).map(|c| (c % 5) as f32 * 0.5 - 1.0).collect();
         let leaky = |x: f32| if x > 0.0 { x } else { slope * x };
-        let expected: Vec<f32> = a.iter().zip(&best).map(|(a, b)| leaky(a + b)).collect();
+        let response = |(i, (a, b)): (usize, (&f32, &f32))| leaky(a + scale[i % n_channels] * b);
+        let expected: Vec<f32> = a.iter().zip(&best).enumerate().map(response).collect();
+        let parts = side_by_side(&a, &gather.values, n_channels);
         let mut out = vec![7.0; best.len()];
-        edge_max_leaky(&a, &gather.values, &gather.neighbors, gather.shape, slope, &mut out).unwrap();
+        edge_max_leaky(&parts, &scale, &gather.neighbors, gather.shape, slope, &mut out).unwrap();
         // −inf · 0 is NaN on both sides.
         let bits = |values: &[f32]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
         prop_assert_eq!(bits(&out), bits(&expected));
+        let mut out = vec![Bf16::from_f32(7.0); best.len()];
+        edge_max_leaky(&to_bf16(&parts), &scale, &gather.neighbors, gather.shape, slope, &mut out).unwrap();
+        let bits = |values: &[Bf16]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+        prop_assert_eq!(bits(&out), bits(&to_bf16(&expected)));
     }
 
     #[test]
@@ -278,16 +292,21 @@ fn wrong_lengths_and_ids_are_errors_and_write_nothing() {
     is_parameter(gather(&[0.0; 4], &[-1, 0], 4, 4), "neighbors");
     let mut out = [0.0f32; 4];
     is_parameter(gather_max_values(&[0.0; 4], &[0, 2], shape, &mut out), "neighbors");
-    is_parameter(edge_max_leaky(&[0.0; 4], &[0.0; 4], &[2, 0], shape, 0.2, &mut out), "neighbors");
-    is_parameter(edge_max_leaky(&[0.0; 4], &[0.0; 4], &[1, 0], shape, -0.1, &mut out), "slope");
-    is_parameter(edge_max_leaky(&[0.0; 4], &[0.0; 4], &[1, 0], shape, f32::NAN, &mut out), "slope");
+    is_parameter(edge_max_leaky(&[0.0; 8], &[1.0; 2], &[2, 0], shape, 0.2, &mut out), "neighbors");
+    is_parameter(edge_max_leaky(&[0.0; 8], &[1.0; 2], &[1, 0], shape, -0.1, &mut out), "slope");
+    is_parameter(edge_max_leaky(&[0.0; 8], &[1.0; 2], &[1, 0], shape, f32::NAN, &mut out), "slope");
     is_parameter(gather_max_backward(&[0.0; 4], &[0, 1, 2, 1], shape, &mut out), "argmax");
     let argmax = [0, 1, 1, 1];
     assert_eq!(gather_max_backward(&[0.0; 5], &argmax, shape, &mut out), mismatch("grad_out", 4, 5));
     assert_eq!(gather_max_backward(&[0.0; 4], &argmax[..3], shape, &mut out), mismatch("argmax", 4, 3));
     assert_eq!(gather_max_backward(&[0.0; 4], &argmax, shape, &mut out[..1]), mismatch("grad_in", 4, 1));
-    assert_eq!(edge_max_leaky(&[0.0; 1], &[0.0; 4], &[1, 0], shape, 0.2, &mut out), mismatch("a", 4, 1));
-    assert_eq!(edge_max_leaky(&[0.0; 4], &[0.0; 1], &[1, 0], shape, 0.2, &mut out), mismatch("b", 4, 1));
+    let edge = |n_parts: usize, n_scales: usize, n_out: usize| {
+        let (parts, scale) = (vec![0.0f32; n_parts], vec![1.0; n_scales]);
+        edge_max_leaky(&parts, &scale, &[1, 0], shape, 0.2, &mut vec![0.0; n_out])
+    };
+    assert_eq!(edge(7, 2, 4), mismatch("parts", 8, 7));
+    assert_eq!(edge(8, 1, 4), mismatch("scale", 2, 1));
+    assert_eq!(edge(8, 2, 3), mismatch("out", 4, 3));
 
     let mut ids = [7; 4];
     assert_eq!(knn(&[0.0f32; 3], 1, 2, 2, 2, &mut ids), mismatch("features", 4, 3));
@@ -314,7 +333,8 @@ fn one_thread_and_many_are_bit_identical() {
             let mut grad_in = vec![0.0; features.len()];
             gather_max_backward(&features, &argmax, shape, &mut grad_in).unwrap();
             let mut edge = vec![0.0; features.len()];
-            edge_max_leaky(&features, &grad_in, &neighbors, shape, 0.2, &mut edge).unwrap();
+            let parts = side_by_side(&features, &grad_in, n_channels);
+            edge_max_leaky(&parts, &vec![-0.7; n_channels], &neighbors, shape, 0.2, &mut edge).unwrap();
             let bits = |values: Vec<f32>| values.into_iter().map(f32::to_bits).collect::<Vec<_>>();
             (neighbors, bits(out), argmax, bits(grad_in), bits(edge))
         })

@@ -129,17 +129,15 @@ pub fn gather_sum_backward(
 #[pyfunction]
 pub fn edge_max_leaky(
     py: Python<'_>,
-    a: PyReadonlyArrayDyn<'_, f32>,
-    b: PyReadonlyArrayDyn<'_, f32>,
+    parts: Untyped<'_, '_>,
+    scale: PyReadonlyArrayDyn<'_, f32>,
     neighbors: PyReadonlyArrayDyn<'_, i32>,
     slope: f32,
-    mut out: PyReadwriteArrayDyn<'_, f32>,
+    out: Untyped<'_, '_>,
 ) -> PyResult<()> {
-    let [n_patches, n_nodes, n_channels] = sizes("a", a.shape())?;
-    let shape = GatherShape { n_patches, n_nodes, n_channels, n_neighbors: neighbor_count(&neighbors)? };
-    let (a, b, neighbors) = (slice("a", &a)?, slice("b", &b)?, slice("neighbors", &neighbors)?);
-    let out = slice_mut("out", &mut out)?;
-    py.detach(|| kernels::edge_max_leaky(a, b, neighbors, shape, slope, out)).into_python()
+    let shape = gather_shape(out, neighbor_count(&neighbors)?)?;
+    let (scale, neighbors) = (slice("scale", &scale)?, slice("neighbors", &neighbors)?);
+    on_pair!(py, parts, out, |a, b| kernels::edge_max_leaky(a, scale, neighbors, shape, slope, b))
 }
 
 #[pyfunction]

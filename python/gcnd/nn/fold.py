@@ -1,4 +1,4 @@
-"""Inference form of the networks: BatchNorm folded into the linear layers, each EdgeConv one fused kernel.
+"""Inference form of the networks: BatchNorm folded in, few products, each EdgeConv one linear layer and one kernel.
 
 LeakyReLU(BatchNorm(W x)) = LeakyReLU((s ∘ W) x + t) with BatchNorm's evaluation map y = s x + t. Exact but for
 rounding; a test compares both forms.
@@ -7,25 +7,24 @@ rounding; a test compares both forms.
 from __future__ import annotations
 
 import copy
-from typing import TypeVar
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from gcnd.nn.layers import DynamicEdgeConv, EdgeConv
-from gcnd.nn.networks import CentreNormalNet, DenseNorm, NodeNormalNet
-from gcnd.nn.ops import edge_max_leaky, gather_max, knn
+from gcnd.nn.networks import NORMAL, CentreNormalNet, DenseNorm, GraphTrunk, NodeNormalNet, pool_nodes
+from gcnd.nn.ops import edge_max_leaky, knn
 
-Network = TypeVar("Network", CentreNormalNet, NodeNormalNet)
+Precision = Literal["float32", "bfloat16"]
 
 
 class FoldedEdgeConv(nn.Module):
-    """EdgeConv in evaluation mode: two linear layers, then one gather, maximum and LeakyReLU.
+    """EdgeConv in evaluation mode: one linear layer a node, then one gather, maximum and LeakyReLU.
 
-    With order "edge" the scale goes into both layers whatever its sign: max_j s (a_i + b_j) = s a_i + max_j s b_j.
-    With order "node", s max_j b_j equals max_j s b_j only for s ≥ 0; a layer with a negative scale keeps the
-    maximum of the raw responses and applies the scale after it.
+    LeakyReLU(s (a_i + max_j b_j) + t) = LeakyReLU(a'_i + s max_j b_j) with a' = s a + t. Order "edge" takes the
+    maximum of s b_j instead: the scale moves into the linear layer, and 1 is left.
     """
 
     def __init__(self, layer: EdgeConv):
@@ -33,21 +32,20 @@ class FoldedEdgeConv(nn.Module):
         scale, shift = (x.detach() for x in layer.norm.scale_and_shift())
         self.slope = layer.slope
         self.knn_k = layer.knn_k if isinstance(layer, DynamicEdgeConv) else None
-        self.center = _linear(layer.center.weight * scale[:, None], shift)
-        self.fused = layer.order == "edge" or bool((scale >= 0).all())
-        self.neighbor = _linear(layer.neighbor.weight * (scale[:, None] if self.fused else 1.0), None)
+        inside, outside = (
+            (scale, torch.ones_like(scale)) if layer.order == "edge" else (torch.ones_like(scale), scale)
+        )
+        weights = [layer.center.weight * scale[:, None], layer.neighbor.weight * inside[:, None]]
+        self.parts = _linear(torch.cat(weights), torch.cat([shift, torch.zeros_like(shift)]))
         self.scale: Tensor
-        self.register_buffer("scale", torch.ones_like(scale) if self.fused else scale)
+        self.register_buffer("scale", outside)
 
     def forward(self, x: Tensor, neighbors: Tensor | None = None) -> Tensor:
         """Maps (P, N, C) and, for a static layer, (P, N, K) neighbours to (P, N, C')."""
         if self.knn_k is not None and neighbors is None:
             neighbors = knn(x, self.knn_k)
         assert neighbors is not None
-        a, b = self.center(x), self.neighbor(x)
-        if self.fused:
-            return edge_max_leaky(a, b, neighbors, self.slope)
-        return F.leaky_relu(a + self.scale * gather_max(b, neighbors), self.slope)
+        return edge_max_leaky(self.parts(x), self.scale, neighbors, self.slope)
 
 
 class FoldedDense(nn.Module):
@@ -64,9 +62,71 @@ class FoldedDense(nn.Module):
         return F.leaky_relu(self.linear(x), self.slope, inplace=True)
 
 
+class FoldedTrunk(nn.Module):
+    """Static, then dynamic EdgeConv layers; every layer's output side by side."""
+
+    def __init__(self, trunk: GraphTrunk):
+        super().__init__()
+        self.layers = nn.ModuleList(FoldedEdgeConv(layer) for layer in (*trunk.static, *trunk.dynamic))  # type: ignore[arg-type]
+
+    def forward(self, x: Tensor, neighbors: Tensor) -> Tensor:
+        """Maps (P, N, C_in) and (P, N, 3) to (P, N, Σ channels)."""
+        outputs = []
+        for layer in self.layers:
+            x = layer(x, neighbors if layer.knn_k is None else None)
+            outputs.append(x)
+        return torch.cat(outputs, dim=-1)
+
+
+class FoldedCentreNet(nn.Module):
+    """`CentreNormalNet` for inference."""
+
+    def __init__(self, network: CentreNormalNet):
+        super().__init__()
+        self.trunk = FoldedTrunk(network.trunk)
+        self.pool = FoldedDense(network.pool)
+        self.head = nn.Sequential(*(FoldedDense(layer) for layer in network.head))  # type: ignore[arg-type]
+        self.out = copy.deepcopy(network.out)
+
+    def forward(self, features: Tensor, neighbors: Tensor) -> Tensor:
+        """Maps (P, N, C_in) float32 features and (P, N, 3) neighbours to (P, 3) float32."""
+        x = features.to(self.out.weight.dtype)
+        pooled = pool_nodes(self.pool(self.trunk(x, neighbors)))
+        out: Tensor = self.out(self.head(pooled)).float()
+        return out
+
+
+class FoldedNodeNet(nn.Module):
+    """`NodeNormalNet` for inference; the layer before pooling and the head's first are one linear layer."""
+
+    def __init__(self, network: NodeNormalNet):
+        super().__init__()
+        pool = FoldedDense(network.pool)
+        scale, shift = (x.detach() for x in network.head_norm.scale_and_shift())
+        self.slope, self.pool_channels = network.config.slope, network.config.pool_channels
+        self.trunk = FoldedTrunk(network.trunk)
+        node = network.head_node.weight * scale[:, None]
+        self.wide = _linear(
+            torch.cat([pool.linear.weight, node]), torch.cat([pool.linear.bias, torch.zeros_like(shift)])
+        )
+        self.head_patch = _linear(network.head_patch.weight * scale[:, None], shift)
+        self.head = nn.Sequential(*(FoldedDense(layer) for layer in network.head))  # type: ignore[arg-type]
+        self.out = copy.deepcopy(network.out)
+
+    def forward(self, features: Tensor, neighbors: Tensor) -> Tensor:
+        """Maps (P, N, C_in) float32 features and (P, N, 3) neighbours to (P, N, 3) float32."""
+        x = features.to(self.out.weight.dtype)
+        wide = self.wide(self.trunk(x, neighbors))
+        y, node = wide[..., : self.pool_channels], wide[..., self.pool_channels :]
+        pooled = pool_nodes(F.leaky_relu(y, self.slope))
+        h = F.leaky_relu(node + self.head_patch(pooled).unsqueeze(1), self.slope, inplace=True)
+        residual: Tensor = self.out(self.head(h)).float()
+        return features[..., NORMAL] + residual
+
+
 @torch.no_grad()
-def folded(network: Network) -> Network:
-    """Returns a copy of a network for inference; the original keeps its BatchNorm layers.
+def folded(network: CentreNormalNet | NodeNormalNet) -> FoldedCentreNet | FoldedNodeNet:
+    """Returns a network for inference; the original keeps its BatchNorm layers.
 
     Args:
         network: A trained network, any mode; its running statistics are used.
@@ -76,22 +136,31 @@ def folded(network: Network) -> Network:
 
     Choice: docs/choices.md#edgeconv-split.
     """
-    twin = copy.deepcopy(network).eval()
-    twin.trunk.static = nn.ModuleList(FoldedEdgeConv(layer) for layer in twin.trunk.static)  # type: ignore[arg-type]
-    twin.trunk.dynamic = nn.ModuleList(FoldedEdgeConv(layer) for layer in twin.trunk.dynamic)  # type: ignore[arg-type]
-    twin.pool = FoldedDense(twin.pool)  # type: ignore[assignment]
-    twin.head = nn.Sequential(*(FoldedDense(layer) for layer in twin.head))  # type: ignore[arg-type]
-    if isinstance(twin, NodeNormalNet):
-        scale, shift = twin.head_norm.scale_and_shift()
-        twin.head_node = _linear(twin.head_node.weight * scale[:, None], None)
-        twin.head_patch = _linear(twin.head_patch.weight * scale[:, None], shift)
-        twin.head_norm = nn.Identity()  # type: ignore[assignment]
-    return twin.requires_grad_(False)
+    is_node = isinstance(network, NodeNormalNet)
+    twin = FoldedNodeNet(network) if is_node else FoldedCentreNet(network)
+    return twin.eval().requires_grad_(False)
 
 
-def _linear(weight: Tensor, bias: Tensor | None) -> nn.Linear:
-    layer = nn.Linear(weight.shape[1], weight.shape[0], bias=bias is not None, device=weight.device)
-    layer.weight = nn.Parameter(weight.detach().clone(), requires_grad=False)
-    if bias is not None:
-        layer.bias = nn.Parameter(bias.detach().clone(), requires_grad=False)
+def for_inference(network: nn.Module, precision: Precision) -> nn.Module:
+    """Returns what predicts fastest: BatchNorm folded in, linear layers in a precision.
+
+    Args:
+        network: One of ours, folded or not; anything else is returned as it is, but for its linear layers.
+        precision: Of the linear layers and of what passes between them; features and normals stay float32.
+    """
+    if isinstance(network, CentreNormalNet | NodeNormalNet):
+        network = folded(network)
+    if precision == "float32":
+        return network
+    twin = copy.deepcopy(network)
+    for layer in twin.modules():
+        if isinstance(layer, nn.Linear):
+            layer.to(getattr(torch, precision))
+    return twin
+
+
+def _linear(weight: Tensor, bias: Tensor) -> nn.Linear:
+    layer = nn.Linear(weight.shape[1], weight.shape[0], device=weight.device)
+    layer.weight = nn.Parameter(weight.detach().clone())
+    layer.bias = nn.Parameter(bias.detach().clone())
     return layer

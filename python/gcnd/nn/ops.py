@@ -116,24 +116,26 @@ def gather_sum(values: Tensor, neighbors: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def edge_max_leaky(a: Tensor, b: Tensor, neighbors: Tensor, slope: float) -> Tensor:
-    """Evaluates an EdgeConv stage from its node parts: out_i = LeakyReLU(a_i + max_{j ∈ N(i)} b_j).
+def edge_max_leaky(parts: Tensor, scale: Tensor, neighbors: Tensor, slope: float) -> Tensor:
+    """Evaluates an EdgeConv stage from its node parts: out_i = LeakyReLU(a_i + scale · max_{j ∈ N(i)} b_j).
 
     Args:
-        a: (P, N, C), the centre's part.
-        b: (P, N, C), the neighbour's part.
+        parts: (P, N, 2 C), the centre's part a and then the neighbour's part b of every node.
+        scale: (C,), float32.
         neighbors: (P, N, K), int32.
         slope: Negative slope of LeakyReLU.
 
     Returns:
-        (P, N, C); no gradient.
+        (P, N, C), of the parts' dtype; no gradient. Computed in float32.
     """
-    if not (_use_native(a) and a.dtype == torch.float32):
-        return torch.nn.functional.leaky_relu(a + gather_max(b, neighbors), slope)
-    a, b, neighbors = a.contiguous(), b.contiguous(), neighbors.contiguous()
-    out = torch.empty_like(a)
-    _geom.edge_max_leaky(_array(a), _array(b), neighbors.numpy(), slope, _array(out))
-    return out
+    if _use_native(parts):
+        parts, neighbors = parts.contiguous(), neighbors.contiguous()
+        out = torch.empty((*parts.shape[:2], len(scale)), dtype=parts.dtype)
+        _geom.edge_max_leaky(_array(parts), _array(scale), neighbors.numpy(), slope, _array(out))
+        return out
+    a, b = parts.chunk(2, dim=-1)
+    response = a.float() + scale * gather_max(b, neighbors).float()
+    return torch.nn.functional.leaky_relu(response, slope).to(parts.dtype)
 
 
 @torch.no_grad()

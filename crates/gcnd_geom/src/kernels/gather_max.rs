@@ -202,11 +202,11 @@ impl<T: Element> WithSimd for MaxAndArgmax<'_, T> {
             self;
         let rows = out.chunks_exact_mut(n_channels).zip(argmax.chunks_exact_mut(n_channels));
         for (neighbors, (out, argmax)) in neighbors.chunks_exact(n_neighbors).zip(rows) {
-            out.copy_from_slice(row(values, n_channels, neighbors[0]));
+            out.copy_from_slice(row(values, n_channels, n_channels, neighbors[0]));
             argmax.fill(neighbors[0] as u16);
             for group in neighbors.chunks(GROUP) {
                 let group = padded(group);
-                let rows = rows_of(values, n_channels, &group);
+                let rows = rows_of(values, n_channels, n_channels, &group);
                 let (wide, narrow) = split(n_channels);
                 argmax_blocks::<T, WIDE>(rows, &group, 0..wide, out, argmax);
                 argmax_blocks::<T, NARROW>(rows, &group, wide..narrow, out, argmax);
@@ -263,18 +263,18 @@ impl<T: Element> WithSimd for MaxOnly<'_, T> {
     fn with_simd<S: Simd>(self, _simd: S) {
         let Self { values, neighbors, shape: GatherShape { n_channels, n_neighbors, .. }, out } = self;
         for (neighbors, out) in neighbors.chunks_exact(n_neighbors).zip(out.chunks_exact_mut(n_channels)) {
-            max_of_neighbors(values, neighbors, out);
+            max_of_neighbors(values, n_channels, neighbors, out);
         }
     }
 }
 
-/// Writes the maximum over one node's neighbours to its row `out`.
+/// Writes the maximum over one node's neighbours to its row `out`; the rows of `values` start every `stride`.
 #[inline(always)]
-pub(super) fn max_of_neighbors<T: Element>(values: &[T], neighbors: &[i32], out: &mut [T]) {
+pub(super) fn max_of_neighbors<T: Element>(values: &[T], stride: usize, neighbors: &[i32], out: &mut [T]) {
     let n_channels = out.len();
-    out.copy_from_slice(row(values, n_channels, neighbors[0]));
+    out.copy_from_slice(row(values, stride, n_channels, neighbors[0]));
     for group in neighbors.chunks(GROUP) {
-        let rows = rows_of(values, n_channels, &padded(group));
+        let rows = rows_of(values, stride, n_channels, &padded(group));
         let (wide, narrow) = split(n_channels);
         max_blocks::<T, WIDE>(rows, 0..wide, out);
         max_blocks::<T, NARROW>(rows, wide..narrow, out);
@@ -321,17 +321,22 @@ fn padded(group: &[i32]) -> [i32; GROUP] {
 
 /// The values of one node.
 #[inline(always)]
-fn row<T>(values: &[T], n_channels: usize, node_id: i32) -> &[T] {
-    &values[node_id as usize * n_channels..][..n_channels]
+fn row<T>(values: &[T], stride: usize, n_channels: usize, node_id: i32) -> &[T] {
+    &values[node_id as usize * stride..][..n_channels]
 }
 
 /// The values of a group of nodes.
 #[inline(always)]
-fn rows_of<'a, T>(values: &'a [T], n_channels: usize, group: &[i32; GROUP]) -> [&'a [T]; GROUP] {
+fn rows_of<'a, T>(
+    values: &'a [T],
+    stride: usize,
+    n_channels: usize,
+    group: &[i32; GROUP],
+) -> [&'a [T]; GROUP] {
     // A loop, here and below: `array::map` is not inlined into the vectorised caller, which costs a call per block.
-    let mut rows = [row(values, n_channels, group[0]); GROUP];
+    let mut rows = [row(values, stride, n_channels, group[0]); GROUP];
     for slot in 1..GROUP {
-        rows[slot] = row(values, n_channels, group[slot]);
+        rows[slot] = row(values, stride, n_channels, group[slot]);
     }
     rows
 }

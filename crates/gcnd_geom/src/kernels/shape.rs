@@ -102,6 +102,14 @@ pub(super) fn check_size(name: &'static str, value: usize, max: usize, allowed: 
     Err(GeomError::InvalidParameter { name, value: value.to_string(), allowed })
 }
 
+/// Returns [`GeomError::InvalidParameter`] unless the slope of LeakyReLU lies in 0 to 1.
+pub(super) fn check_slope(slope: f32) -> Result<()> {
+    if (0.0..=1.0).contains(&slope) {
+        return Ok(());
+    }
+    Err(GeomError::InvalidParameter { name: "slope", value: slope.to_string(), allowed: "0 to 1" })
+}
+
 /// Returns [`GeomError::TooLarge`] unless the product of the sizes fits an index.
 pub(super) fn check_product(what: &'static str, sizes: &[usize]) -> Result<()> {
     let limit = isize::MAX as usize;
