@@ -1,8 +1,9 @@
 """Puts a trained cascade into the package: weights, model card and golden outputs.
 
-    python scripts/ship_weights.py WEIGHTS NAME CARD.json
+    python scripts/ship_weights.py WEIGHTS NAME CARD.json [ACCURACY.json]
 
-CARD.json holds what only a person knows (description, data, measured E_a); size, hash and parameters are filled in.
+CARD.json holds what only a person knows (description, data, speed); size, hash and parameters are filled in, and mean
+E_a by kind and level from ACCURACY.json, what benches/accuracy.py wrote for NAME.
 """
 
 from __future__ import annotations
@@ -37,7 +38,20 @@ def golden(cascade: Cascade) -> dict[str, np.ndarray]:
     return arrays
 
 
-def main(source: str, name: str, card_file: str) -> None:
+def mean_errors(results: Path, name: str) -> dict[str, dict[str, float]]:
+    """Mean E_a in degrees of a preset by kind of mesh, then by level of noise."""
+    groups: dict[str, dict[str, list[float]]] = {}
+    sources = {"procedural": "generated", "val": "real"}
+    for key, row in json.loads(results.read_text(encoding="utf-8")).items():
+        kind = f"{sources[key.split('/')[0]]} {row['kind'].replace('feature', 'detailed')}"
+        groups.setdefault(kind, {}).setdefault(str(row["level"]), []).append(row[name]["e_a"])
+    return {
+        kind: {level: round(float(np.mean(values)), 2) for level, values in sorted(levels.items())}
+        for kind, levels in sorted(groups.items())
+    }
+
+
+def main(source: str, name: str, card_file: str, results: str | None = None) -> None:
     """Copies the weights and writes the card and the golden outputs."""
     weights = FOLDER / f"{name}.safetensors"
     weights.write_bytes(Path(source).read_bytes())
@@ -45,6 +59,8 @@ def main(source: str, name: str, card_file: str) -> None:
     cascade = Cascade(CascadeConfig.from_dict(load_config(header)))
     cascade.load_state_dict(tensors)
     card = json.loads(Path(card_file).read_text(encoding="utf-8"))
+    if results is not None:
+        card["measured"]["e_a_degrees"] = mean_errors(Path(results), name)
     card["n_parameters"] = sum(p.numel() for p in cascade.parameters())
     card["sha256"] = hashlib.sha256(weights.read_bytes()).hexdigest()
     card["cascade"] = cascade.config.to_dict()

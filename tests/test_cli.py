@@ -325,12 +325,27 @@ def test_models(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
         "sha256": "ab" * 32,
         "default": True,
     }
-    stand_in(monkeypatch, "gcnd.weights", list_models=lambda: [types.SimpleNamespace(**fields)])
+    card = {
+        "data": {"shapes": 12, "meshes": [{"names": "a, b"}, {"names": "c"}]},
+        "measured": {
+            "speed": {"faces_per_second": 12345, "hardware": "two cores"},
+            "e_a_degrees": {"generated cad": {"0.1": 1.25, "0.3": 2.5}, "real": {"0.1": 3.0, "0.3": 14.0}},
+        },
+    }
+    models = [types.SimpleNamespace(**fields, card=card), types.SimpleNamespace(**fields, card={})]
+    stand_in(monkeypatch, "gcnd.weights", list_models=lambda: models)
     assert main(["models", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == [fields]
+    assert json.loads(capsys.readouterr().out) == [fields | card, fields]
     assert main(["models"]) == 0
-    shown = capsys.readouterr().out
-    assert shown == "small (default): 1,234,567 weights, 2.5 MB, MIT\n    For tests.\n"
+    head = "small (default): 1,234,567 weights, 2.5 MB, MIT\n    For tests.\n"
+    assert capsys.readouterr().out == (
+        head + "    12,345 faces/s on two cores\n"
+        "    trained on 12 generated shapes and 3 openly licensed meshes\n"
+        "    E_a in degrees, noise     0.1     0.3\n"
+        "    generated cad            1.25    2.50\n"
+        "    real                     3.00   14.00\n"
+        "\n" + head
+    )
 
 
 # --- the program -------------------------------------------------------------------------------------

@@ -42,14 +42,14 @@ CENTRE = NetworkConfig("centre", 8, (8,), (12,), 16, (12, 8), 4, "edge")
 
 CONFIG = CascadeConfig(
     (
-        StageConfig(NODES, PatchConfig(n_nodes=32), passes=2, patches_per_face=0.3),
+        StageConfig(NODES, PatchConfig(n_nodes=32), passes=2, coverage=1.5),
         StageConfig(CENTRE, PatchConfig(n_nodes=16, vertex_offsets=False, budget="random")),
     ),
     RefinementConfig(2, 0.3, 1.5),
     vertex_iterations=5,
 )
 
-EVERY_FACE = replace(CONFIG, stages=(replace(CONFIG.stages[0], patches_per_face=1.0),))
+EVERY_FACE = replace(CONFIG, stages=(replace(CONFIG.stages[0], coverage=None),))
 """No face is left to chance: one patch around each, node by node."""
 
 

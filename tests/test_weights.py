@@ -25,7 +25,7 @@ NETWORK = NetworkConfig("nodes", 17, (8,), (8, 12), 16, (12, 8), 4, "node")
 PAPER_LIKE = NetworkConfig("centre", 8, (8,), (12,), 16, (12, 8), 4, "edge")
 CONFIG = CascadeConfig(
     (
-        StageConfig(NETWORK, PatchConfig(n_nodes=32), passes=2, patches_per_face=0.25),
+        StageConfig(NETWORK, PatchConfig(n_nodes=32), passes=2, coverage=1.5),
         StageConfig(PAPER_LIKE, PatchConfig(n_nodes=16, vertex_offsets=False, budget="random")),
     ),
     RefinementConfig(4, 0.15, 1.5),
@@ -79,7 +79,7 @@ def test_the_file_holds_exactly_the_weights_and_the_header(path: Path) -> None:
     assert tensors.keys() == expected.keys()
     assert all(torch.equal(tensors[name], tensor) for name, tensor in expected.items())
     assert all(tensors[name].dtype == tensor.dtype for name, tensor in expected.items())
-    assert header["layout"] == registry.LAYOUT_VERSION == 1
+    assert header["layout"] == registry.LAYOUT_VERSION == 2
     assert header["recipe"] == "tiny"
     assert CascadeConfig.from_dict(header["cascade"]) == CONFIG
     assert load_header(path) == header

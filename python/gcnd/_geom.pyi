@@ -82,14 +82,22 @@ class NormalAccumulator:
     ) -> None:
         """Adds (P, 3) predictions of the centres, patch frame."""
 
-    def uncovered(self) -> Ids:
-        """Faces that nothing was added for."""
-
     def spread(self) -> NDArray[np.float64]:
         """How far the predictions for each face disagree (F,), about radians; 0 for a single one."""
 
     def normals(self, fallback: Points) -> Points:
         """Averaged unit normals (F, 3); a face's ``fallback`` where nothing was added."""
+
+class Cover:
+    """Chooses patch centres until the predictions of every face weigh enough together."""
+
+    def __init__(self, n_faces: int, least_weight: float, seed: int) -> None: ...
+    def next_centers(self, predictions: NormalAccumulator, at_most: int) -> Ids:
+        """The next centres, ascending; empty when every face has come up."""
+
+    @property
+    def progress(self) -> float:
+        """The fraction of the faces that have come up."""
 
 def validate(vertices: Points, faces: Faces) -> None: ...
 def weld(vertices: Points) -> tuple[Ids, Ids]:
@@ -99,7 +107,6 @@ def face_geometry(vertices: Points, faces: Faces) -> tuple[Points, Points, NDArr
     """Returns unit normals (F, 3), centroids (F, 3) and areas (F,)."""
 
 def mean_edge_length(vertices: Points, faces: Faces) -> float: ...
-def cover_centers(n_faces: int, patches_per_face: float, seed: int) -> Ids: ...
 def classify_faces(
     topology: Topology, vertices: Points, *, patch_scale: float = 4.0, sigma_vote: float = ...
 ) -> NDArray[np.uint8]:

@@ -34,6 +34,10 @@ def fast_precision(device: torch.device | str) -> Precision:
     return "bfloat16" if on_cpu and supported is not None and supported() else "float32"
 
 
+COVER_STEP, COVER_STEPS = 256, 50
+"""A cover looks at the predictions so far after this many patches, and at least this often on a mesh."""
+
+
 class Prediction(NamedTuple):
     """What a network says of every face.
 
@@ -118,10 +122,9 @@ def predict_normals(
 ) -> Prediction:
     """Predicts the noise-free normal of every face with one network.
 
-    A network that returns every node's normal runs on patches around ``stage.patches_per_face`` of the faces;
-    the predictions for a face are averaged with weight exp(−2‖c̄‖²), c̄ its centroid in the patch's frame and
-    radii. Faces that no patch reached get a patch of their own. A network that returns the centre's normal runs
-    once a face.
+    A network that returns every node's normal runs on patches that cover the mesh as ``stage.coverage`` asks; the
+    predictions for a face are averaged with weight exp(−2‖c̄‖²), c̄ its centroid in the patch's frame and radii. A
+    network that returns the centre's normal runs once a face.
 
     Args:
         topology: Adjacency of the mesh.
@@ -141,21 +144,20 @@ def predict_normals(
     extractor = make_extractor(topology, vertices, stage.patch, seed)
     accumulator = _geom.NormalAccumulator(topology.n_faces)
     per_node = stage.network.architecture == "nodes"
-    centers = (
-        _geom.cover_centers(topology.n_faces, stage.patches_per_face, seed)
-        if per_node
-        else np.arange(topology.n_faces, dtype=np.uint32)
-    )
     batch = max(1, PATCH_NODES_IN_FLIGHT // stage.patch.n_nodes)
     buffers = PatchArrays(min(batch, topology.n_faces), stage.patch)
     predict = partial(_predict, for_inference(network.eval(), precision), torch.device(device))
-    for done, chunk in _chunks(centers, batch):
-        _add_chunk(extractor, accumulator, buffers.head(len(chunk)), chunk, predict, per_node)
+    chunks = (
+        _chunks(topology.n_faces, batch)
+        if stage.coverage is None
+        else _cover(accumulator, topology.n_faces, stage.coverage, seed)
+    )
+    for done, chosen in chunks:
+        for _, part in _chunks(len(chosen), batch):
+            centers = chosen[part]
+            _add_chunk(extractor, accumulator, buffers.head(len(centers)), centers, predict, per_node)
         if progress is not None:
-            progress(done / len(centers))
-    if per_node:
-        for _, chunk in _chunks(accumulator.uncovered(), batch):
-            _add_chunk(extractor, accumulator, buffers.head(len(chunk)), chunk, predict, True)
+            progress(done)
     return Prediction(accumulator.normals(extractor.normals()), accumulator.spread())
 
 
@@ -210,8 +212,19 @@ def _add_chunk(
         accumulator.add_centers(centers, patches.world_from_patch, predicted)
 
 
-def _chunks(ids: NDArray[np.uint32], size: int) -> Iterator[tuple[int, NDArray[np.uint32]]]:
-    """Yields (ids done after this chunk, chunk)."""
-    for start in range(0, len(ids), size):
-        chunk = ids[start : start + size]
-        yield start + len(chunk), chunk
+def _chunks(n_faces: int, size: int) -> Iterator[tuple[float, NDArray[np.uint32]]]:
+    """Yields (fraction done after this chunk, face ids), every face once."""
+    for start in range(0, n_faces, size):
+        stop = min(start + size, n_faces)
+        yield stop / n_faces, np.arange(start, stop, dtype=np.uint32)
+
+
+def _cover(
+    accumulator: _geom.NormalAccumulator, n_faces: int, coverage: float, seed: int
+) -> Iterator[tuple[float, NDArray[np.uint32]]]:
+    """Yields (fraction of the faces looked at, centres), each time where predictions are still missing."""
+    cover = _geom.Cover(n_faces, coverage, seed)
+    # Patches chosen at once do not see each other: few at a time on a small mesh.
+    at_most = max(1, min(COVER_STEP, n_faces // COVER_STEPS))
+    while len(centers := cover.next_centers(accumulator, at_most)):
+        yield cover.progress, centers

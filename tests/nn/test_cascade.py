@@ -42,12 +42,12 @@ def test_patch_channels(offsets: bool, channels: int) -> None:
     [
         ({"patch": PatchConfig(vertex_offsets=False)}, "takes 17 channels, its patches have 8"),
         ({"passes": 0}, "passes is 0"),
-        ({"patches_per_face": 0.0}, r"patches_per_face is 0\.0"),
-        ({"patches_per_face": 1.01}, r"patches_per_face is 1\.01"),
-        ({"patches_per_face": float("nan")}, "patches_per_face is nan"),
+        ({"coverage": 0.0}, r"coverage is 0\.0"),
+        ({"coverage": float("inf")}, "coverage is inf"),
+        ({"coverage": float("nan")}, "coverage is nan"),
         (
-            {"network": SMALL_CENTRE, "patch": PAPER_PATCH, "patches_per_face": 0.5},
-            "needs patches_per_face = 1",
+            {"network": SMALL_CENTRE, "patch": PAPER_PATCH, "coverage": 0.5},
+            "needs coverage = None",
         ),
     ],
 )
@@ -56,7 +56,7 @@ def test_stage_guards(changes: dict[str, Any], message: str) -> None:
         replace(StageConfig(SMALL_NODES), **changes)
 
 
-@pytest.mark.parametrize("field", ["network", "patch", "passes", "patches_per_face"])
+@pytest.mark.parametrize("field", ["network", "patch", "passes", "coverage"])
 def test_a_stage_without_a_field_is_refused(field: str) -> None:
     values = CONFIG.stages[0].to_dict()
     del values[field]

@@ -26,7 +26,7 @@ def config_of(name: str) -> TrainConfig:
     config = replace(TRAIN, grad_clip=1e9)
     if name == "nodes":
         return config
-    stage = replace(TRAIN.stage, network=PAPER_LIKE, patches_per_face=1.0)
+    stage = replace(TRAIN.stage, network=PAPER_LIKE, coverage=None)
     return replace(config, stage=stage, loss="mse")
 
 

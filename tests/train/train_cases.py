@@ -15,7 +15,7 @@ from gcnd.train.samples import ChunkConfig, CleanShape
 
 NETWORK = NetworkConfig("nodes", 17, (8,), (8, 12), 16, (12, 8), 4, "node")
 
-STAGE = StageConfig(NETWORK, PatchConfig(n_nodes=32), passes=1, patches_per_face=0.3)
+STAGE = StageConfig(NETWORK, PatchConfig(n_nodes=32), passes=1, coverage=1.5)
 
 CHUNK = ChunkConfig(n_meshes=2, n_patches=16)
 

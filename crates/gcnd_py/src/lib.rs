@@ -31,5 +31,5 @@ mod _geom {
     #[pymodule_export]
     use super::mesh::{PyTopology, face_geometry, validate, weld};
     #[pymodule_export]
-    use super::patches::{PyNormalAccumulator, PyPatchExtractor, classify_faces, cover_centers};
+    use super::patches::{PyCover, PyNormalAccumulator, PyPatchExtractor, classify_faces};
 }

@@ -4,7 +4,7 @@ use crate::arrays::{self, Points, slice, slice_mut};
 use crate::errors::{ConfigError, IntoPython};
 use crate::mesh::PyTopology;
 use gcnd_geom::patch::{
-    self, Budget, NormalAccumulator, PatchBuffers, PatchExtractor, PatchParams, VotingRegion,
+    self, Budget, Cover, NormalAccumulator, PatchBuffers, PatchExtractor, PatchParams, VotingRegion,
 };
 use gcnd_geom::{DVec3, Topology};
 use numpy::{
@@ -127,20 +127,6 @@ impl PyPatchExtractor {
 }
 
 #[pyfunction]
-pub fn cover_centers(
-    py: Python<'_>,
-    n_faces: usize,
-    patches_per_face: f64,
-    seed: u64,
-) -> PyResult<Bound<'_, PyArray1<u32>>> {
-    if !(patches_per_face > 0.0 && patches_per_face <= 1.0) {
-        let message = format!("patches_per_face is {patches_per_face}, allowed: above 0, at most 1");
-        return Err(ConfigError::new_err(message));
-    }
-    Ok(py.detach(|| patch::cover_centers(n_faces, patches_per_face, seed)).into_pyarray(py))
-}
-
-#[pyfunction]
 #[pyo3(signature = (topology, vertices, *, patch_scale=4.0, sigma_vote=1.0 / 3.0))]
 pub fn classify_faces<'py>(
     py: Python<'py>,
@@ -196,10 +182,6 @@ impl PyNormalAccumulator {
         py.detach(|| self.lock().add_centers(centers, predicted, world_from_patch)).into_python()
     }
 
-    fn uncovered<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u32>> {
-        py.detach(|| self.lock().uncovered()).into_pyarray(py)
-    }
-
     fn spread<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         py.detach(|| self.lock().spread()).into_pyarray(py)
     }
@@ -214,6 +196,42 @@ impl PyNormalAccumulator {
 impl PyNormalAccumulator {
     /// A poisoned lock only means that another thread panicked; the sums it guards are plain numbers.
     fn lock(&self) -> std::sync::MutexGuard<'_, NormalAccumulator> {
+        self.inner.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}
+
+#[pyclass(name = "Cover", module = "gcnd._geom", frozen)]
+pub struct PyCover {
+    inner: Mutex<Cover>,
+}
+
+#[pymethods]
+impl PyCover {
+    #[new]
+    fn new(py: Python<'_>, n_faces: usize, least_weight: f64, seed: u64) -> PyResult<Self> {
+        let cover = py.detach(|| Cover::new(n_faces, least_weight, seed)).into_python()?;
+        Ok(Self { inner: Mutex::new(cover) })
+    }
+
+    fn next_centers<'py>(
+        &self,
+        py: Python<'py>,
+        predictions: &PyNormalAccumulator,
+        at_most: usize,
+    ) -> PyResult<Bound<'py, PyArray1<u32>>> {
+        let centers = py.detach(|| self.lock().next_centers(&predictions.lock(), at_most)).into_python()?;
+        Ok(centers.into_pyarray(py))
+    }
+
+    #[getter]
+    fn progress(&self) -> f64 {
+        self.lock().progress()
+    }
+}
+
+impl PyCover {
+    /// As [`PyNormalAccumulator::lock`].
+    fn lock(&self) -> std::sync::MutexGuard<'_, Cover> {
         self.inner.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 }

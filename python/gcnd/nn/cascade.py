@@ -50,14 +50,15 @@ class StageConfig:
         network: Layout of the network.
         patch: Layout of its patches.
         passes: How often the stage runs, each time on its own output.
-        patches_per_face: Patches centred on this fraction of the faces; 1 is one a face.
-            Networks that predict only the centre need 1.
+        coverage: Patches are added until the predictions of every face weigh this much together, a face at its
+            patch's centre weighing 1; ``None`` takes one patch a face, as networks that predict only the centre need.
+            Choice: docs/choices.md#cover.
     """
 
     network: NetworkConfig
     patch: PatchConfig = field(default_factory=PatchConfig)
     passes: int = 1
-    patches_per_face: float = 1.0
+    coverage: float | None = None
 
     def __post_init__(self) -> None:
         if self.network.in_channels != self.patch.n_channels:
@@ -67,10 +68,10 @@ class StageConfig:
             )
         if self.passes < 1:
             raise ConfigError(f"passes is {self.passes}, allowed: 1 or more")
-        if not 0 < self.patches_per_face <= 1:
-            raise ConfigError(f"patches_per_face is {self.patches_per_face}, allowed: above 0, at most 1")
-        if self.network.architecture == "centre" and self.patches_per_face != 1:
-            raise ConfigError("a network that predicts only the centre needs patches_per_face = 1")
+        if self.coverage is not None and not 0 < self.coverage < float("inf"):
+            raise ConfigError(f"coverage is {self.coverage}, allowed: above 0, or none for a patch a face")
+        if self.network.architecture == "centre" and self.coverage is not None:
+            raise ConfigError("a network that predicts only the centre needs coverage = None")
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the configuration as JSON-ready values."""
@@ -84,7 +85,7 @@ class StageConfig:
                 network=NetworkConfig.from_dict(values["network"]),
                 patch=PatchConfig(**values["patch"]),
                 passes=int(values["passes"]),
-                patches_per_face=float(values["patches_per_face"]),
+                coverage=None if values["coverage"] is None else float(values["coverage"]),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigError(f"stage configuration does not fit: {error}") from error

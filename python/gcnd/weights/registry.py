@@ -15,7 +15,7 @@ from gcnd.weights.files import load_header, load_tensors, save_tensors
 if TYPE_CHECKING:
     import torch
 
-LAYOUT_VERSION = 1
+LAYOUT_VERSION = 2
 """Version of the feature layout; weights of another version are refused."""
 
 _FOLDER = Path(__file__).parent

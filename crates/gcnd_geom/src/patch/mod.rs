@@ -8,11 +8,13 @@
 //! | features and static neighbours | `graph` | Sec. 4.3 |
 //! | normals at several scales | `scale_space` | – |
 //! | flat, edge, corner, transitional | [`classes`] | Sec. 5.2 |
-//! | overlapping patches and their average | [`cover`] | – |
+//! | overlapping patches | [`cover`] | – |
+//! | the average of what they predict | [`accumulator`] | – |
 //!
 //! A [`PatchExtractor`] is built once per mesh and then fills caller-owned arrays for any list of faces, so
 //! that the patches of a mesh are streamed and never held all at once.
 
+pub mod accumulator;
 mod budget;
 pub mod classes;
 pub mod cover;
@@ -25,7 +27,8 @@ mod symmetric_eigen;
 mod voting;
 
 pub use classes::{FaceClass, classify_faces};
-pub use cover::{NormalAccumulator, cover_centers};
+pub use accumulator::NormalAccumulator;
+pub use cover::Cover;
 pub use params::{Budget, PatchParams, VotingRegion};
 
 use crate::error::{GeomError, Result, check_len};
