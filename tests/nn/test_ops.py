@@ -166,6 +166,55 @@ def test_edge_max_leaky_is_the_formula_in_one_pass(
     assert torch.equal(ops.edge_max_leaky(parts, scale, neighbors, slope), expected)
 
 
+@dtypes
+@shapes
+def test_pooling_is_exact_on_both_paths(shape: tuple[int, int, int, int], dtype: torch.dtype) -> None:
+    n_patches, n_nodes, n_channels, _ = shape
+    values = whole_numbers(shape[:3], dtype, limit=9)
+    source = values.double().numpy()
+    mean = torch.from_numpy(source.sum(axis=1)).float() / n_nodes
+    expected = torch.cat([mean.to(dtype), torch.from_numpy(source.max(axis=1)).to(dtype)], dim=-1)
+    native = ops.pool_nodes(values)
+    with ops.plain_torch():
+        plain = ops.pool_nodes(values)
+    assert native.shape == (n_patches, 2 * n_channels)
+    assert native.dtype == plain.dtype == dtype
+    assert torch.equal(native, expected)
+    assert torch.allclose(plain.float(), native.float(), rtol=1e-2 if dtype == torch.bfloat16 else 1e-6)
+
+
+@dtypes
+@shapes
+def test_gradient_of_pooling_is_that_of_plain_torch(
+    shape: tuple[int, int, int, int], dtype: torch.dtype
+) -> None:
+    n_patches, n_nodes, n_channels, _ = shape
+    # Different values in every column: no ties.
+    values = (random_values(*shape[:3]).argsort(dim=1).argsort(dim=1) - n_nodes // 2).to(dtype)
+    grad_out = whole_numbers((n_patches, 2 * n_channels), dtype, limit=3)
+
+    def gradient() -> Tensor:
+        leaf = values.clone().requires_grad_()
+        ops.pool_nodes(leaf).backward(grad_out)
+        assert leaf.grad is not None
+        return leaf.grad
+
+    native = gradient()
+    with ops.plain_torch():
+        plain = gradient()
+    assert torch.allclose(native.float(), plain.float(), rtol=1e-2 if dtype == torch.bfloat16 else 1e-6)
+    # What arrives is what was sent: mean and maximum pass all of their gradient on.
+    sent = grad_out.float().view(n_patches, 2, n_channels).sum(1)
+    assert torch.allclose(native.float().sum(1), sent, atol=0.1 if dtype == torch.bfloat16 else 1e-4)
+
+
+def test_pooling_takes_the_first_of_equal_nodes() -> None:
+    leaf = torch.tensor([[[1.0], [2.0], [2.0]]], requires_grad=True)
+    ops.pool_nodes(leaf).backward(torch.tensor([[0.0, 1.0]]))
+    assert leaf.grad is not None
+    assert leaf.grad.flatten().tolist() == [0.0, 1.0, 0.0]
+
+
 # --- nearest neighbours --------------------------------------------------------------------------------
 
 

@@ -1,7 +1,8 @@
 //! The network's CPU kernels against explicit loops, on hand tables and on random arrays.
 
 use gcnd_geom::kernels::{
-    Bf16, GatherShape, edge_max_leaky, gather_max, gather_max_backward, gather_max_values, knn,
+    Bf16, GatherShape, edge_max_leaky, gather_max, gather_max_backward, gather_max_values, knn, pool_nodes,
+    pool_nodes_backward,
 };
 use gcnd_geom::{GeomError, Result};
 use proptest::collection::vec;
@@ -163,6 +164,47 @@ proptest! {
     }
 
     #[test]
+    fn pooling_equals_the_loop(gather in gathers()) {
+        let GatherShape { n_patches, n_nodes, n_channels, .. } = gather.shape;
+        // Whole numbers: sums are exact, and ties happen.
+        let values: Vec<f32> = gather.values.iter().map(|x| x.clamp(-9.0, 9.0)).collect();
+        let (mut expected, mut winners) = (Vec::new(), Vec::new());
+        for patch in values.chunks_exact(n_nodes * n_channels) {
+            let column = |c: usize| patch.iter().skip(c).step_by(n_channels).copied();
+            expected.extend((0..n_channels).map(|c| column(c).sum::<f32>() / n_nodes as f32));
+            let best = |c: usize| column(c).fold(f32::NEG_INFINITY, f32::max);
+            expected.extend((0..n_channels).map(best));
+            winners.extend((0..n_channels).map(|c| column(c).position(|x| x == best(c)).unwrap() as u16));
+        }
+        let (mut out, mut argmax) = (vec![7.0; expected.len()], vec![9; winners.len()]);
+        pool_nodes(&values, gather.shape, &mut out, &mut argmax).unwrap();
+        prop_assert_eq!(&out, &expected);
+        prop_assert_eq!(&argmax, &winners);
+        let mut narrow = vec![Bf16::default(); expected.len()];
+        pool_nodes(&to_bf16(&values), gather.shape, &mut narrow, &mut argmax).unwrap();
+        prop_assert_eq!(narrow, to_bf16(&expected));
+
+        let grad_out: Vec<f32> = (0..expected.len()).map(|i| (i * 5 % 11) as f32 - 4.0).collect();
+        let mut expected = vec![0.0; values.len()];
+        for (slot, grad) in expected.iter_mut().enumerate() {
+            let (patch, node, channel) =
+                (slot / (n_nodes * n_channels), slot / n_channels % n_nodes, slot % n_channels);
+            let pooled = 2 * patch * n_channels + channel;
+            *grad = grad_out[pooled] / n_nodes as f32;
+            if usize::from(winners[patch * n_channels + channel]) == node {
+                *grad += grad_out[pooled + n_channels];
+            }
+        }
+        let mut grad_in = vec![7.0; values.len()];
+        pool_nodes_backward(&grad_out, &winners, gather.shape, &mut grad_in).unwrap();
+        prop_assert_eq!(&grad_in, &expected);
+        let mut narrow = vec![Bf16::default(); values.len()];
+        pool_nodes_backward(&to_bf16(&grad_out), &winners, gather.shape, &mut narrow).unwrap();
+        prop_assert_eq!(narrow, to_bf16(&expected));
+        prop_assert_eq!(n_patches * n_channels, winners.len());
+    }
+
+    #[test]
     fn knn_equals_the_sorted_distances((n_patches, n_nodes, n_channels, k, features) in grid_features()) {
         let patch = n_nodes * n_channels;
         let expected: Vec<i32> = features.chunks_exact(patch).flat_map(|f| naive_knn(f, n_channels, k)).collect();
@@ -307,6 +349,18 @@ fn wrong_lengths_and_ids_are_errors_and_write_nothing() {
     assert_eq!(edge(7, 2, 4), mismatch("parts", 8, 7));
     assert_eq!(edge(8, 1, 4), mismatch("scale", 2, 1));
     assert_eq!(edge(8, 2, 3), mismatch("out", 4, 3));
+
+    let pool = |n_values: usize, n_out: usize, n_argmax: usize| {
+        pool_nodes(&vec![0.0f32; n_values], shape, &mut vec![0.0; n_out], &mut vec![0; n_argmax])
+    };
+    assert_eq!(pool(3, 4, 2), mismatch("values", 4, 3));
+    assert_eq!(pool(4, 3, 2), mismatch("pooled", 4, 3));
+    assert_eq!(pool(4, 4, 1), mismatch("argmax", 2, 1));
+    let mut grad = [7.0f32; 4];
+    assert_eq!(pool_nodes_backward(&[0.0; 3], &[0; 2], shape, &mut grad), mismatch("pooled", 4, 3));
+    assert_eq!(pool_nodes_backward(&[0.0; 4], &[0; 2], shape, &mut grad[..3]), mismatch("grad_in", 4, 3));
+    is_parameter(pool_nodes_backward(&[0.0; 4], &[0, 2], shape, &mut grad), "argmax");
+    assert_eq!(grad, [7.0; 4]);
 
     let mut ids = [7; 4];
     assert_eq!(knn(&[0.0f32; 3], 1, 2, 2, 2, &mut ids), mismatch("features", 4, 3));

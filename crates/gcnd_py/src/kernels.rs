@@ -141,6 +141,30 @@ pub fn edge_max_leaky(
 }
 
 #[pyfunction]
+pub fn pool_nodes(
+    py: Python<'_>,
+    values: Untyped<'_, '_>,
+    out: Untyped<'_, '_>,
+    mut argmax: PyReadwriteArrayDyn<'_, i16>,
+) -> PyResult<()> {
+    let shape = gather_shape(values, 1)?;
+    let argmax: &mut [u16] = bytemuck::cast_slice_mut(slice_mut("argmax", &mut argmax)?);
+    on_pair!(py, values, out, |a, b| kernels::pool_nodes(a, shape, b, argmax))
+}
+
+#[pyfunction]
+pub fn pool_nodes_backward(
+    py: Python<'_>,
+    grad_out: Untyped<'_, '_>,
+    argmax: PyReadonlyArrayDyn<'_, i16>,
+    grad: Untyped<'_, '_>,
+) -> PyResult<()> {
+    let shape = gather_shape(grad, 1)?;
+    let argmax: &[u16] = bytemuck::cast_slice(slice("argmax", &argmax)?);
+    on_pair!(py, grad_out, grad, |a, b| kernels::pool_nodes_backward(a, argmax, shape, b))
+}
+
+#[pyfunction]
 pub fn knn(py: Python<'_>, features: Untyped<'_, '_>, mut out: PyReadwriteArrayDyn<'_, i32>) -> PyResult<()> {
     let [n_patches, n_nodes, n_channels] = sizes("features", features.shape())?;
     let [_, _, k] = sizes::<3>("out", out.shape())?;

@@ -26,7 +26,7 @@ mod _geom {
     #[pymodule_export]
     use super::kernels::{
         edge_max_leaky, gather_max, gather_max_argmax, gather_max_backward, gather_sum, gather_sum_backward,
-        knn,
+        knn, pool_nodes, pool_nodes_backward,
     };
     #[pymodule_export]
     use super::mesh::{PyTopology, face_geometry, validate, weld};

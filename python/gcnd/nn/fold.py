@@ -14,8 +14,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from gcnd.nn.layers import DynamicEdgeConv, EdgeConv
-from gcnd.nn.networks import NORMAL, CentreNormalNet, DenseNorm, GraphTrunk, NodeNormalNet, pool_nodes
-from gcnd.nn.ops import edge_max_leaky, knn
+from gcnd.nn.networks import NORMAL, CentreNormalNet, DenseNorm, GraphTrunk, NodeNormalNet
+from gcnd.nn.ops import edge_max_leaky, knn, pool_nodes
 
 Precision = Literal["float32", "bfloat16"]
 

@@ -17,6 +17,7 @@ from torch.nn import functional as F
 
 from gcnd.errors import ConfigError
 from gcnd.nn.layers import DynamicEdgeConv, EdgeConv, NodeBatchNorm, NormOrder
+from gcnd.nn.ops import pool_nodes
 
 NORMAL = slice(3, 6)
 """Where a node's own normal stands among its features."""
@@ -111,13 +112,6 @@ class GraphTrunk(nn.Module):
             x = layer(x)
             outputs.append(x)
         return torch.cat(outputs, dim=-1)
-
-
-def pool_nodes(x: Tensor) -> Tensor:
-    """Concatenates mean and maximum over the nodes: (P, N, C) to (P, 2 C) (paper Sec. 5.1)."""
-    # The gradient of amax counts ties, in whole numbers of 64 bits, and takes three times as long.
-    largest = x.max(dim=1).values if torch.is_grad_enabled() else x.amax(dim=1)
-    return torch.cat([x.mean(dim=1), largest], dim=-1)
 
 
 class DenseNorm(nn.Module):

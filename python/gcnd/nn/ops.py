@@ -82,6 +82,26 @@ class _GatherSum(torch.autograd.Function):
         return grad, None
 
 
+class _PoolNodes(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, values: Tensor) -> Tensor:
+        values = values.contiguous()
+        n_patches, _, n_channels = values.shape
+        out = torch.empty((n_patches, 2 * n_channels), dtype=values.dtype)
+        argmax = torch.empty((n_patches, n_channels), dtype=torch.int16)
+        _geom.pool_nodes(_array(values), _array(out), argmax.numpy())
+        ctx.save_for_backward(argmax)
+        ctx.shape = values.shape
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, grad_out: Tensor) -> Tensor:
+        (argmax,) = ctx.saved_tensors
+        grad = torch.empty(ctx.shape, dtype=grad_out.dtype)
+        _geom.pool_nodes_backward(_array(grad_out.contiguous()), argmax.numpy(), _array(grad))
+        return grad
+
+
 def gather(values: Tensor, neighbors: Tensor) -> Tensor:
     """Collects the neighbours' features: out[p, i, k] = values[p, neighbors[p, i, k]], (P, N, K, C)."""
     n_patches, n_nodes, k = neighbors.shape
@@ -113,6 +133,19 @@ def gather_sum(values: Tensor, neighbors: Tensor) -> Tensor:
         out: Tensor = _GatherSum.apply(values, neighbors)
         return out
     return gather(values, neighbors).sum(dim=2)
+
+
+def pool_nodes(values: Tensor) -> Tensor:
+    """Concatenates mean and maximum over the nodes: (P, N, C) to (P, 2 C).
+
+    The maximum's gradient goes to the node that gave it, the first one on ties.
+
+    Paper: Sec. 5.1, average and max pooling.
+    """
+    if _use_native(values):
+        out: Tensor = _PoolNodes.apply(values)
+        return out
+    return torch.cat([values.mean(dim=1), values.max(dim=1).values], dim=-1)
 
 
 @torch.no_grad()

@@ -11,8 +11,9 @@
 //! | [`gather_max_backward`] | the scatter of `grad_out` to the nodes that won | training, backward |
 //! | [`gather_max_values`] | the same maximum without the argmax | inference |
 //! | [`gather_sum`], [`gather_sum_backward`] | the sum over neighbours and its transpose | training |
-//! | [`edge_max_leaky`] | `leaky(a_i + max_j b_j)` in one pass | inference |
+//! | [`edge_max_leaky`] | `leaky(a_i + s · max_j b_j)` in one pass | inference |
 //! | [`knn`] | the k nearest nodes of each node, itself first | both |
+//! | [`pool_nodes`], [`pool_nodes_backward`] | mean and maximum over the nodes of a patch | both |
 //!
 //! Every kernel is parallel over patches and treats a patch in one fixed order, so one thread and many give
 //! bit-identical results. AVX2 and AVX-512 are used where the processor has them.
@@ -24,6 +25,7 @@ mod element;
 mod gather_max;
 mod gather_sum;
 mod knn;
+mod pool;
 mod shape;
 mod simd;
 
@@ -32,4 +34,5 @@ pub use element::{Bf16, Element};
 pub use gather_max::{gather_max, gather_max_backward, gather_max_values};
 pub use gather_sum::{gather_sum, gather_sum_backward};
 pub use knn::knn;
+pub use pool::{pool_nodes, pool_nodes_backward};
 pub use shape::GatherShape;

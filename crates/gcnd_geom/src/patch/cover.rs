@@ -87,10 +87,11 @@ mod tests {
                 break;
             }
             assert!(centers.len() <= 7 && centers.is_sorted());
-            let reached: Vec<u32> =
-                centers.iter().flat_map(|&c| (c..c + 5).map(|f| f % n_faces)).collect();
+            let reached: Vec<u32> = centers.iter().flat_map(|&c| (c..c + 5).map(|f| f % n_faces)).collect();
             let frames = [1., 0., 0., 0., 1., 0., 0., 0., 1.].repeat(reached.len());
-            predictions.add_centers(&reached, &[0.0, 0.0, 1.0].repeat(reached.len()), &frames).expect("valid");
+            predictions
+                .add_centers(&reached, &[0.0, 0.0, 1.0].repeat(reached.len()), &frames)
+                .expect("valid");
             all.extend(centers);
         }
         assert_eq!(cover.progress(), 1.0);

@@ -26,8 +26,8 @@ mod select;
 mod symmetric_eigen;
 mod voting;
 
-pub use classes::{FaceClass, classify_faces};
 pub use accumulator::NormalAccumulator;
+pub use classes::{FaceClass, classify_faces};
 pub use cover::Cover;
 pub use params::{Budget, PatchParams, VotingRegion};
 
