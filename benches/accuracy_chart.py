@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-CLASSICAL = ("bilateral-normal", "taubin", "humphrey")
+CLASSICAL = ("bilateral-normal", "guided-normal", "l0", "taubin", "humphrey")
 COLOURS = {"noisy": "#c9c5bd", "best classical": "#7d8aa5", "gcnd": "#c8553d"}
 
 
@@ -38,7 +38,7 @@ def main() -> None:
     rows = {
         key: row
         for key, row in json.loads(options.results.read_text()).items()
-        if key.startswith(options.source) and options.preset in row
+        if key.startswith(options.source) and row["noise"] == "gaussian" and options.preset in row
     }
     kinds = [kind for kind in ("cad", "smooth", "feature") if any(r["kind"] == kind for r in rows.values())]
     figure = Figure(figsize=(4 * len(kinds), 3.2), dpi=130, layout="constrained")

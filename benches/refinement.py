@@ -12,11 +12,12 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from last_pass import last_prediction
 
 from gcnd import _geom
 from gcnd.data.shape_cache import load_shapes
-from gcnd.nn.cascade import Cascade, RefinementConfig
-from gcnd.predict import Prediction, fast_precision, predict_normals, refined
+from gcnd.nn.cascade import RefinementConfig
+from gcnd.predict import refined
 from gcnd.train.corpus import VALIDATION_SEED
 from gcnd.train.samples import CleanShape
 from gcnd.weights import load_cascade
@@ -40,21 +41,6 @@ REFINEMENTS = {
 }
 
 
-def last_prediction(
-    shape: CleanShape, vertices: np.ndarray, cascade: Cascade
-) -> tuple[np.ndarray, Prediction, int]:
-    """Positions before the last vertex update, the last stage's prediction, and the vertex iterations."""
-    passes = cascade.passes()
-    for index, (stage, network) in enumerate(passes):
-        prediction = predict_normals(
-            shape.topology, vertices, stage, network, seed=index, precision=fast_precision("cpu")
-        )
-        if index < len(passes) - 1:
-            iterations = cascade.config.vertex_iterations
-            vertices = _geom.update_vertices(shape.topology, vertices, prediction.normals, iterations)
-    return vertices, prediction, cascade.config.vertex_iterations
-
-
 def main() -> None:
     """Prints E_a by kind for every refinement."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
@@ -67,7 +53,8 @@ def main() -> None:
         shape = CleanShape(drawn.name, drawn.kind, drawn.vertices, drawn.faces)
         for level in LEVELS:
             noisy = shape.noise.sample(level=level, seed=NOISE_SEED)
-            vertices, prediction, iterations = last_prediction(shape, noisy, cascade)
+            vertices, prediction = last_prediction(shape.topology, noisy, cascade)
+            iterations = cascade.config.vertex_iterations
             kind = f"{shape.kind}, decimated" if "decimated" in shape.name else shape.kind
             for name, refinement in REFINEMENTS.items():
                 normals = refined(shape.topology, vertices, prediction, refinement)

@@ -170,7 +170,7 @@ def rewritten(path: Path, **changes: Any) -> Path:
 
 
 def test_another_feature_layout(path: Path) -> None:
-    refused(rewritten(path, layout=2), "has feature layout 2, this version of gcnd reads 1")
+    refused(rewritten(path, layout=1), "has feature layout 1, this version of gcnd reads 2")
     refused(rewritten(path, layout=None), "has feature layout None")
 
 

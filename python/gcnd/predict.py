@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from torch import nn
 
-PATCH_NODES_IN_FLIGHT = 1 << 14
-"""Patch nodes extracted at a time; bounds the memory of prediction whatever the mesh."""
+PATCH_NODES_IN_FLIGHT = 1 << 12
+"""Patch nodes that a thread takes through the network at a time; bounds memory whatever the mesh."""
 
 
 def fast_precision(device: torch.device | str) -> Precision:
@@ -70,13 +70,6 @@ class PatchArrays:
         self.mask = np.empty(shape, dtype=np.uint8)
         self.world_from_patch = np.empty((n_patches, 3, 3), dtype=np.float64)
         self.radii = np.empty(n_patches, dtype=np.float64)
-
-    def head(self, n_patches: int) -> PatchArrays:
-        """Returns a view of the first patches."""
-        view = object.__new__(PatchArrays)
-        for name, array in vars(self).items():
-            setattr(view, name, array[:n_patches])
-        return view
 
     def fill(self, extractor: _geom.PatchExtractor, centers: NDArray[np.uint32]) -> None:
         """Extracts the patches around ``centers``, as many as the buffers hold."""
@@ -143,21 +136,19 @@ def predict_normals(
     """
     extractor = make_extractor(topology, vertices, stage.patch, seed)
     accumulator = _geom.NormalAccumulator(topology.n_faces)
-    per_node = stage.network.architecture == "nodes"
-    batch = max(1, PATCH_NODES_IN_FLIGHT // stage.patch.n_nodes)
-    buffers = PatchArrays(min(batch, topology.n_faces), stage.patch)
-    predict = partial(_predict, for_inference(network.eval(), precision), torch.device(device))
-    chunks = (
-        _chunks(topology.n_faces, batch)
+    chosen = (
+        _every_face(topology.n_faces)
         if stage.coverage is None
         else _cover(accumulator, topology.n_faces, stage.coverage, seed)
     )
-    for done, chosen in chunks:
-        for _, part in _chunks(len(chosen), batch):
-            centers = chosen[part]
-            _add_chunk(extractor, accumulator, buffers.head(len(centers)), centers, predict, per_node)
-        if progress is not None:
-            progress(done)
+    with PatchPredictor(
+        extractor, for_inference(network.eval(), precision), stage, torch.device(device)
+    ) as predictor:
+        for done, centers in chosen:
+            for prediction in predictor.predict(centers):
+                _add(accumulator, prediction, stage)
+            if progress is not None:
+                progress(done)
     return Prediction(accumulator.normals(extractor.normals()), accumulator.spread())
 
 
@@ -186,36 +177,68 @@ def refined(
     )
 
 
-@torch.inference_mode()
-def _predict(network: nn.Module, device: torch.device, patches: PatchArrays) -> NDArray[np.float32]:
-    features = torch.from_numpy(patches.features).to(device)
-    neighbors = torch.from_numpy(patches.neighbors).to(device)
-    predicted: torch.Tensor = network(features, neighbors)
-    return predicted.cpu().numpy()
+class PatchPrediction(NamedTuple):
+    """What a network says of the patches around ``centers``: (P, N, 3) or (P, 3) normals in the patch frames."""
+
+    centers: NDArray[np.uint32]
+    patches: PatchArrays
+    normals: NDArray[np.float32]
 
 
-def _add_chunk(
-    extractor: _geom.PatchExtractor,
-    accumulator: _geom.NormalAccumulator,
-    patches: PatchArrays,
-    centers: NDArray[np.uint32],
-    predict: Callable[[PatchArrays], NDArray[np.float32]],
-    per_node: bool,
-) -> None:
-    patches.fill(extractor, centers)
-    predicted = predict(patches)
-    if per_node:
+class PatchPredictor:
+    """Cuts patches and runs a network on them.
+
+    On the CPU every thread takes a batch of its own through all layers: what one layer leaves in the thread's cache
+    the next one finds there, and nobody waits for others between layers.
+    """
+
+    def __init__(
+        self,
+        extractor: _geom.PatchExtractor,
+        network: nn.Module,
+        stage: StageConfig,
+        device: torch.device,
+    ):
+        self.extractor, self.network, self.patch, self.device = extractor, network, stage.patch, device
+        self.batch = max(1, PATCH_NODES_IN_FLIGHT // stage.patch.n_nodes)
+        n_threads = torch.get_num_threads() if device.type == "cpu" else 1
+        self.threads = ThreadPoolExecutor(n_threads, initializer=torch.set_num_threads, initargs=(1,))
+
+    def __enter__(self) -> PatchPredictor:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.threads.shutdown(cancel_futures=True)
+
+    def predict(self, centers: NDArray[np.uint32]) -> Iterator[PatchPrediction]:
+        """Yields predictions for the patches around ``centers``, in their order, a batch at a time."""
+        starts = range(0, len(centers), self.batch)
+        return self.threads.map(self._one_batch, [centers[i : i + self.batch] for i in starts])
+
+    @torch.inference_mode()
+    def _one_batch(self, centers: NDArray[np.uint32]) -> PatchPrediction:
+        patches = PatchArrays(len(centers), self.patch)
+        patches.fill(self.extractor, centers)
+        features = torch.from_numpy(patches.features).to(self.device)
+        neighbors = torch.from_numpy(patches.neighbors).to(self.device)
+        predicted: torch.Tensor = self.network(features, neighbors)
+        return PatchPrediction(centers, patches, predicted.cpu().numpy())
+
+
+def _add(accumulator: _geom.NormalAccumulator, prediction: PatchPrediction, stage: StageConfig) -> None:
+    centers, patches, normals = prediction
+    if stage.network.architecture == "nodes":
         accumulator.add_nodes(
-            patches.features, patches.face_ids, patches.mask, patches.world_from_patch, predicted
+            patches.features, patches.face_ids, patches.mask, patches.world_from_patch, normals
         )
     else:
-        accumulator.add_centers(centers, patches.world_from_patch, predicted)
+        accumulator.add_centers(centers, patches.world_from_patch, normals)
 
 
-def _chunks(n_faces: int, size: int) -> Iterator[tuple[float, NDArray[np.uint32]]]:
-    """Yields (fraction done after this chunk, face ids), every face once."""
-    for start in range(0, n_faces, size):
-        stop = min(start + size, n_faces)
+def _every_face(n_faces: int) -> Iterator[tuple[float, NDArray[np.uint32]]]:
+    """Yields (fraction done after these, face ids), every face once."""
+    for start in range(0, n_faces, COVER_STEP):
+        stop = min(start + COVER_STEP, n_faces)
         yield stop / n_faces, np.arange(start, stop, dtype=np.uint32)
 
 

@@ -61,10 +61,12 @@ REFINE_WHERE_CONSISTENT = RefinementConfig(iterations=12, sigma_r=0.15, toleranc
 def _default(*steps: int) -> Recipe:
     """The first stage is covered thinly: what it misses, the later ones still see."""
     patch = PatchConfig(scale_space=True)
-    first, second, third = (StageConfig(DEFAULT_NETWORK, patch, coverage=c) for c in (0.7, 1.0, 1.5))
+    first = StageConfig(DEFAULT_NETWORK, patch, coverage=0.7)
+    second = StageConfig(DEFAULT_NETWORK, patch, passes=2, coverage=1.0)
+    third = StageConfig(DEFAULT_NETWORK, patch, coverage=2.0)
     return Recipe(
         "default",
-        "patch network with a normal for every node, three stages",
+        "patch network with a normal for every node, three stages, the second run twice",
         (
             TrainConfig(first, steps=steps[0]),
             TrainConfig(second, steps=steps[1], lr=1e-3, seed=1),
