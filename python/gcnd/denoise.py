@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from gcnd.nn.cascade import Cascade
-    from gcnd.predict import Precision
+    from gcnd.nn.fold import Precision
 
 
 def denoise(

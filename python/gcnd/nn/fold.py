@@ -67,7 +67,7 @@ class FoldedTrunk(nn.Module):
 
     def __init__(self, trunk: GraphTrunk):
         super().__init__()
-        self.layers = nn.ModuleList(FoldedEdgeConv(layer) for layer in (*trunk.static, *trunk.dynamic))  # type: ignore[arg-type]
+        self.layers = nn.ModuleList(FoldedEdgeConv(layer) for layer in (*trunk.static, *trunk.dynamic))
 
     def forward(self, x: Tensor, neighbors: Tensor) -> Tensor:
         """Maps (P, N, C_in) and (P, N, 3) to (P, N, Σ channels)."""
@@ -136,8 +136,7 @@ def folded(network: CentreNormalNet | NodeNormalNet) -> FoldedCentreNet | Folded
 
     Choice: docs/choices.md#edgeconv-split.
     """
-    is_node = isinstance(network, NodeNormalNet)
-    twin = FoldedNodeNet(network) if is_node else FoldedCentreNet(network)
+    twin = FoldedNodeNet(network) if isinstance(network, NodeNormalNet) else FoldedCentreNet(network)
     return twin.eval().requires_grad_(False)
 
 

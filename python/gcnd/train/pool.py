@@ -11,7 +11,7 @@ import torch
 from gcnd import _geom
 from gcnd.errors import ConfigError
 from gcnd.formats.atomic import write_atomic_npz
-from gcnd.predict import Precision, predict_normals
+from gcnd.predict import predict_normals
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from torch import nn
 
     from gcnd.nn.cascade import StageConfig
+    from gcnd.nn.fold import Precision
     from gcnd.train.samples import CleanShape, VertexSource
 
 VERTEX_ITERATIONS = 15
