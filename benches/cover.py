@@ -52,7 +52,7 @@ def counted(cover: Callable[..., Chunks], counts: list[int]) -> Callable[..., Ch
 
 
 def covered(cascade: Cascade, value: float) -> Cascade:
-    """The same networks, every stage with this coverage."""
+    """Sets every stage's coverage, in place."""
     stages = tuple(replace(stage, coverage=value) for stage in cascade.config.stages)
     cascade.config = replace(cascade.config, stages=stages)
     return cascade

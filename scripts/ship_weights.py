@@ -43,7 +43,7 @@ def mean_errors(results: Path, name: str) -> dict[str, dict[str, float]]:
     groups: dict[str, dict[str, list[float]]] = {}
     sources = {"procedural": "generated", "val": "real"}
     for key, row in json.loads(results.read_text(encoding="utf-8")).items():
-        if row["noise"] != "gaussian":
+        if row["noise"] != "gaussian" or name not in row:
             continue
         kind = f"{sources[key.split('/')[0]]} {row['kind'].replace('feature', 'detailed')}"
         groups.setdefault(kind, {}).setdefault(str(row["level"]), []).append(row[name]["e_a"])

@@ -1,27 +1,131 @@
-"""Refinement of predicted normals: where the predictions disagree, and how much of that counts."""
+"""Prediction over a whole mesh: the cover, the threads, and refinement where predictions agree."""
 
 from __future__ import annotations
 
-import numpy as np
-import trimesh
+import threading
+import time
 
+import numpy as np
+import pytest
+import torch
+import trimesh
+from torch import Tensor, nn
+
+import gcnd.predict
 from gcnd import _geom
-from gcnd.nn.cascade import RefinementConfig
-from gcnd.predict import Prediction, refined
+from gcnd.errors import ConfigError
+from gcnd.nn.cascade import PatchConfig, RefinementConfig, StageConfig
+from gcnd.nn.networks import NORMAL, NetworkConfig
+from gcnd.predict import Prediction, predict_normals, refined
+
+BALL = trimesh.creation.icosphere(subdivisions=3)
+VERTICES, FACES = np.array(BALL.vertices), BALL.faces.astype(np.uint32)
+TOPOLOGY = _geom.Topology(FACES, len(VERTICES))
+STAGE = StageConfig(NetworkConfig(), PatchConfig(n_nodes=32), coverage=1.0)
+
+
+class OwnNormals(nn.Module):
+    """Answers with every node's own normal; remembers how many patches it saw, and in which threads."""
+
+    def __init__(self, seconds: float = 0.0):
+        super().__init__()
+        self.seconds, self.n_patches, self.threads = seconds, 0, set[int]()
+
+    def forward(self, features: Tensor, neighbors: Tensor) -> Tensor:
+        self.n_patches += len(features)
+        self.threads.add(threading.get_ident())
+        assert torch.get_num_threads() == 1
+        # The first batch of a step is the last to finish.
+        time.sleep(self.seconds * len(neighbors) / 10)
+        return features[..., NORMAL].contiguous()
+
+
+def test_a_cover_reaches_every_face_with_few_patches() -> None:
+    network = OwnNormals()
+    prediction = predict_normals(TOPOLOGY, VERTICES, STAGE, network)
+    assert np.abs(prediction.normals - BALL.face_normals).max() < 1e-5
+    assert 32 * network.n_patches > len(FACES)
+    assert network.n_patches < 0.2 * len(FACES)
+    everywhere = OwnNormals()
+    stage = StageConfig(NetworkConfig(), PatchConfig(n_nodes=32))
+    predict_normals(TOPOLOGY, VERTICES, stage, everywhere)
+    assert everywhere.n_patches == len(FACES)
+
+
+def test_batches_are_added_in_order_whichever_ends_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = torch.get_num_threads()
+    monkeypatch.setitem(gcnd.predict.PATCH_NODES_A_BATCH, "cpu", 32 * 10)
+    results = []
+    try:
+        for n_threads, seconds in ((1, 0.0), (3, 0.002)):
+            torch.set_num_threads(n_threads)
+            network = OwnNormals(seconds)
+            results.append(predict_normals(TOPOLOGY, VERTICES, STAGE, network))
+            assert len(network.threads) == n_threads
+    finally:
+        torch.set_num_threads(before)
+    assert np.array_equal(results[0].normals, results[1].normals)
+    assert np.array_equal(results[0].spread, results[1].spread)
+
+
+def test_the_callers_threads_stay_as_they_were() -> None:
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        predict_normals(TOPOLOGY, VERTICES, STAGE, OwnNormals())
+        found: list[int] = [torch.get_num_threads()]
+        fresh = threading.Thread(target=lambda: found.append(torch.get_num_threads()))
+        fresh.start()
+        fresh.join()
+        assert found == [3, 3]
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_an_error_in_a_batch_or_a_callback_ends_all_threads() -> None:
+    class Broken(nn.Module):
+        def forward(self, features: Tensor, _: Tensor) -> Tensor:
+            raise RuntimeError(f"cannot take {features.shape[1]} nodes")
+
+    def cancel(_: float) -> None:
+        raise KeyboardInterrupt
+
+    alive = threading.active_count()
+    with pytest.raises(RuntimeError, match="cannot take 32 nodes"):
+        predict_normals(TOPOLOGY, VERTICES, STAGE, Broken())
+    with pytest.raises(KeyboardInterrupt):
+        predict_normals(TOPOLOGY, VERTICES, STAGE, OwnNormals(), progress=cancel)
+    assert threading.active_count() == alive
+
+
+def test_cover_says_what_it_cannot_take() -> None:
+    predictions = _geom.NormalAccumulator(5)
+    cover = _geom.Cover(5, 1.0, 0)
+    assert cover.progress == 0.0
+    first = cover.next_centers(predictions, 3)
+    assert first.dtype == np.uint32
+    assert len(first) == 3
+    assert (np.diff(first.astype(int)) > 0).all()
+    rest = cover.next_centers(predictions, 3)
+    assert sorted([*first, *rest]) == [0, 1, 2, 3, 4]
+    assert cover.progress == 1.0
+    assert len(cover.next_centers(predictions, 3)) == 0
+    with pytest.raises(ConfigError, match="predictions"):
+        cover.next_centers(_geom.NormalAccumulator(4), 1)
+    for bad in (0.0, float("nan"), float("inf")):
+        with pytest.raises(ConfigError, match="least_weight"):
+            _geom.Cover(5, bad, 0)
 
 
 def test_a_limit_on_the_spread_keeps_normals_that_predictions_disagree_about() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=3)
-    vertices, faces = np.array(ball.vertices), ball.faces.astype(np.uint32)
-    topology = _geom.Topology(faces, len(vertices))
     rng = np.random.default_rng(0)
-    rough = ball.face_normals + 0.2 * rng.standard_normal(ball.face_normals.shape)
+    rough = BALL.face_normals + 0.2 * rng.standard_normal(BALL.face_normals.shape)
     rough /= np.linalg.norm(rough, axis=1, keepdims=True)
-    prediction = Prediction(rough, np.full(len(faces), 0.3))
+    prediction = Prediction(rough, np.full(len(FACES), 0.3))
 
     def moved(**options: float) -> float:
         config = RefinementConfig(iterations=4, sigma_r=0.5, **options)  # type: ignore[arg-type]
-        return float(np.linalg.norm(refined(topology, vertices, prediction, config) - rough, axis=1).mean())
+        return float(np.linalg.norm(refined(TOPOLOGY, VERTICES, prediction, config) - rough, axis=1).mean())
 
     everywhere = moved()
     assert everywhere > 0.15

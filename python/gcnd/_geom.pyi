@@ -89,7 +89,7 @@ class NormalAccumulator:
         """Averaged unit normals (F, 3); a face's ``fallback`` where nothing was added."""
 
 class Cover:
-    """Chooses patch centres until the predictions of every face weigh enough together."""
+    """Chooses patch centres where predictions are missing: each face comes up once, unless they weigh enough."""
 
     def __init__(self, n_faces: int, least_weight: float, seed: int) -> None: ...
     def next_centers(self, predictions: NormalAccumulator, at_most: int) -> Ids:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from torch import nn
 
-PATCH_NODES_IN_FLIGHT = 1 << 12
-"""Patch nodes that a thread takes through the network at a time; bounds memory whatever the mesh."""
+PATCH_NODES_A_BATCH = {"cpu": 1 << 12, "cuda": 1 << 16}
+"""Patch nodes that go through the network at a time, on the CPU in each thread; for "cuda" not measured."""
 
 
 def fast_precision(device: torch.device | str) -> Precision:
@@ -34,8 +35,11 @@ def fast_precision(device: torch.device | str) -> Precision:
     return "bfloat16" if on_cpu and supported is not None and supported() else "float32"
 
 
-COVER_STEP, COVER_STEPS = 256, 50
-"""A cover looks at the predictions so far after this many patches, and at least this often on a mesh."""
+COVER_STEP, COVER_SHARE = 256, 50
+"""A cover looks at the predictions so far after this many patches, on a small mesh after a fiftieth of its faces."""
+
+EVERY_FACE_STEP = 4096
+"""Faces at a time where every face has a patch: bounds memory."""
 
 
 class Prediction(NamedTuple):
@@ -51,7 +55,7 @@ class Prediction(NamedTuple):
 
 
 class PatchArrays:
-    """Buffers for up to ``n_patches`` patches, filled by extraction and reused.
+    """Buffers for ``n_patches`` patches, filled by extraction.
 
     Attributes:
         features: (P, N, C) float32, patch frame, lengths in patch radii.
@@ -149,6 +153,8 @@ def predict_normals(
                 _add(accumulator, prediction, stage)
             if progress is not None:
                 progress(done)
+    if progress is not None:
+        progress(1.0)
     return Prediction(accumulator.normals(extractor.normals()), accumulator.spread())
 
 
@@ -186,10 +192,10 @@ class PatchPrediction(NamedTuple):
 
 
 class PatchPredictor:
-    """Cuts patches and runs a network on them.
+    """Cuts patches and runs a network on them, on the CPU in as many threads as torch has.
 
-    On the CPU every thread takes a batch of its own through all layers: what one layer leaves in the thread's cache
-    the next one finds there, and nobody waits for others between layers.
+    Every thread takes batches of its own through the linear layers, so that nobody waits for others between layers
+    and small batches stay in the caches; extraction and the native kernels share rayon's threads.
     """
 
     def __init__(
@@ -200,20 +206,21 @@ class PatchPredictor:
         device: torch.device,
     ):
         self.extractor, self.network, self.patch, self.device = extractor, network, stage.patch, device
-        self.batch = max(1, PATCH_NODES_IN_FLIGHT // stage.patch.n_nodes)
-        n_threads = torch.get_num_threads() if device.type == "cpu" else 1
-        self.threads = ThreadPoolExecutor(n_threads, initializer=torch.set_num_threads, initargs=(1,))
+        self.batch = max(1, PATCH_NODES_A_BATCH[device.type] // stage.patch.n_nodes)
+        self.pool = (
+            _single_threads(torch.get_num_threads()) if device.type == "cpu" else ThreadPoolExecutor(1)
+        )
 
     def __enter__(self) -> PatchPredictor:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.threads.shutdown(cancel_futures=True)
+        self.pool.shutdown(cancel_futures=True)
 
     def predict(self, centers: NDArray[np.uint32]) -> Iterator[PatchPrediction]:
-        """Yields predictions for the patches around ``centers``, in their order, a batch at a time."""
+        """Starts on all patches around ``centers`` and returns their predictions in order, a batch at a time."""
         starts = range(0, len(centers), self.batch)
-        return self.threads.map(self._one_batch, [centers[i : i + self.batch] for i in starts])
+        return self.pool.map(self._one_batch, [centers[i : i + self.batch] for i in starts])
 
     @torch.inference_mode()
     def _one_batch(self, centers: NDArray[np.uint32]) -> PatchPrediction:
@@ -223,6 +230,24 @@ class PatchPredictor:
         neighbors = torch.from_numpy(patches.neighbors).to(self.device)
         predicted: torch.Tensor = self.network(features, neighbors)
         return PatchPrediction(centers, patches, predicted.cpu().numpy())
+
+
+def _one_thread() -> None:
+    # A thread takes the process's number over when torch is first used in it, here and not after the next line.
+    torch.get_num_threads()
+    torch.set_num_threads(1)
+
+
+def _single_threads(n_threads: int) -> ThreadPoolExecutor:
+    """Starts threads in which torch's operations run on one thread each; elsewhere they run on as many as before."""
+    ready = Barrier(n_threads + 1)
+    pool = ThreadPoolExecutor(n_threads, initializer=_one_thread)
+    for _ in range(n_threads):
+        pool.submit(ready.wait)
+    ready.wait()
+    # The setting is a thread's own, but threads that have none yet take it over from whoever set it last.
+    torch.set_num_threads(n_threads)
+    return pool
 
 
 def _add(accumulator: _geom.NormalAccumulator, prediction: PatchPrediction, stage: StageConfig) -> None:
@@ -237,8 +262,8 @@ def _add(accumulator: _geom.NormalAccumulator, prediction: PatchPrediction, stag
 
 def _every_face(n_faces: int) -> Iterator[tuple[float, NDArray[np.uint32]]]:
     """Yields (fraction done after these, face ids), every face once."""
-    for start in range(0, n_faces, COVER_STEP):
-        stop = min(start + COVER_STEP, n_faces)
+    for start in range(0, n_faces, EVERY_FACE_STEP):
+        stop = min(start + EVERY_FACE_STEP, n_faces)
         yield stop / n_faces, np.arange(start, stop, dtype=np.uint32)
 
 
@@ -248,6 +273,6 @@ def _cover(
     """Yields (fraction of the faces looked at, centres), each time where predictions are still missing."""
     cover = _geom.Cover(n_faces, coverage, seed)
     # Patches chosen at once do not see each other: few at a time on a small mesh.
-    at_most = max(1, min(COVER_STEP, n_faces // COVER_STEPS))
+    at_most = max(1, min(COVER_STEP, n_faces // COVER_SHARE))
     while len(centers := cover.next_centers(accumulator, at_most)):
         yield cover.progress, centers

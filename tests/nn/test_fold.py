@@ -91,8 +91,11 @@ def test_the_original_is_left_as_it_was(config: NetworkConfig, negative: bool) -
 def test_bfloat16_answers_nearly_the_same(config: NetworkConfig, negative: bool) -> None:
     network = trained(config, negative)
     twin = for_inference(network, "bfloat16")
-    dtypes = {type(m).__name__: m.weight.dtype for m in twin.modules() if isinstance(m, nn.Linear)}
-    assert dtypes == {"Linear": torch.bfloat16}
+    assert {m.weight.dtype for m in twin.modules() if isinstance(m, nn.Linear)} == {torch.bfloat16}
+    layers = list(twin.trunk.layers)  # type: ignore[union-attr, arg-type]
+    assert {layer.scale.dtype for layer in layers} == {torch.float32}
+    assert all((layer.scale == 1).all() for layer in layers) == (config.norm_order == "edge")
+    assert [layer.knn_k for layer in layers] == [None, None, config.knn_k, config.knn_k]
     expected, found = answers(network, config), answers(twin, config)
     assert found.dtype == torch.float32
     # Neighbours in feature space may change with rounding: the mean, not the maximum.

@@ -42,19 +42,20 @@ def _entry(model: ModelInfo) -> str:
         data = model.card["data"]
         meshes = sum(len(group["names"].split(",")) for group in data.get("meshes", []))
         lines.append(f"    trained on {data['shapes']} generated shapes and {meshes} openly licensed meshes")
-    if "e_a_degrees" in measured:
+    if measured.get("e_a_degrees"):
         lines += _error_table(measured["e_a_degrees"])
     return "\n".join(lines)
 
 
 def _error_table(errors: dict[str, dict[str, Any]]) -> list[str]:
     """E_a in degrees, one line a kind of mesh and one column a level of noise."""
-    levels = list(next(iter(errors.values())))
+    levels = sorted({level for row in errors.values() for level in row})
     width = max(map(len, errors))
     head = f"    {'E_a in degrees, noise':<{width}}" + "".join(f"{level:>8}" for level in levels)
     width = len(head) - 4 - 8 * len(levels)
     rows = [
-        f"    {kind:<{width}}" + "".join(f"{row[level]:8.2f}" for level in levels)
+        f"    {kind:<{width}}"
+        + "".join(f"{row[level]:8.2f}" if level in row else " " * 8 for level in levels)
         for kind, row in errors.items()
     ]
     return [head, *rows]

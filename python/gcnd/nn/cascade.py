@@ -50,8 +50,9 @@ class StageConfig:
         network: Layout of the network.
         patch: Layout of its patches.
         passes: How often the stage runs, each time on its own output.
-        coverage: Patches are added until the predictions of every face weigh this much together, a face at its
-            patch's centre weighing 1; ``None`` takes one patch a face, as networks that predict only the centre need.
+        coverage: A face is made the centre of a patch, once, unless the predictions for it already weigh this much
+            together, one at its patch's centre weighing 1; ``None`` takes a patch a face, as networks that predict
+            only the centre need.
             Choice: docs/choices.md#cover.
     """
 

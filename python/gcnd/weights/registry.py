@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import torch
 
 LAYOUT_VERSION = 2
-"""Version of the feature layout; weights of another version are refused."""
+"""Version of features and configuration; weights of another version are refused."""
 
 _FOLDER = Path(__file__).parent
 

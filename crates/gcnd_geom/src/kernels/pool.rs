@@ -16,7 +16,8 @@ use crate::error::{GeomError, Result, check_len};
 /// - `out`: (P, 2 C), overwritten.
 /// - `argmax`: (P, C), node ids, overwritten; what [`pool_nodes_backward`] needs.
 ///
-/// Sums are taken in `f32` in ascending i and rounded once at the end. A NaN may be passed over by the maximum.
+/// Sums are taken in `f32` in ascending i and rounded once at the end. The maximum passes over NaN; of
+/// nothing but NaN it is −∞.
 ///
 /// # Errors
 ///

@@ -6,11 +6,11 @@ use super::accumulator::NormalAccumulator;
 use super::budget::SplitMix64;
 use crate::error::{Result, check_len, check_positive};
 
-/// Chooses patch centres until the predictions of every face weigh enough together.
+/// Chooses patch centres where predictions are missing.
 ///
 /// Faces come up once each, in an order that the seed shuffles; one that earlier patches have predicted with
-/// `least_weight` in sum is passed over, every other becomes a centre. Patches therefore lie where they are missing,
-/// and a given evenness takes a third fewer of them than centres drawn blindly.
+/// `least_weight` in sum is passed over, every other becomes a centre, where a prediction weighs 1. Up to a
+/// `least_weight` of 1 every face reaches it; above, a face that few patches reach may stay below.
 ///
 /// ```
 /// use gcnd_geom::patch::{Cover, NormalAccumulator};
