@@ -113,7 +113,8 @@ def batches(source: VertexSource, config: TrainConfig, first_step: int) -> Itera
                 return
             index += 1
 
-    threading.Thread(target=produce, daemon=True).start()
+    producer = threading.Thread(target=produce, daemon=True)
+    producer.start()
     skip = first_step % per_chunk
     try:
         while True:
@@ -125,9 +126,12 @@ def batches(source: VertexSource, config: TrainConfig, first_step: int) -> Itera
                 yield Batch(*(tensor[rows] for tensor in chunk))
             skip = 0
     finally:
+        # Waited for: a thread in native code while the interpreter shuts down aborts the process.
         stop.set()
-        while not queue.empty():
-            queue.get_nowait()
+        while producer.is_alive():
+            while not queue.empty():
+                queue.get_nowait()
+            producer.join(timeout=0.05)
 
 
 def check_settings(path: Path, header: dict[str, Any], config: TrainConfig) -> None:
