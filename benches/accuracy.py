@@ -123,7 +123,8 @@ def normal_errors(cascade: Cascade, noisy: np.ndarray, truth: Truth) -> dict[str
 def fill(row: dict, noisy: np.ndarray, truth: Truth, cascades: dict[str, Cascade]) -> bool:
     """Measures what a row lacks; whether anything was."""
     before = len(row)
-    row.setdefault("noisy", errors(noisy, truth, 0.0))
+    if "noisy" not in row:
+        row["noisy"] = errors(noisy, truth, 0.0)
     for name, method in CLASSICAL.items():
         if name not in row:
             row[name] = measured(method, noisy, truth)

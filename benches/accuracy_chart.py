@@ -10,9 +10,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+from accuracy import CLASSICAL, best_classical
 from matplotlib.figure import Figure
 
-CLASSICAL = ("bilateral-normal", "guided-normal", "l0", "taubin", "humphrey")
 COLOURS = ("#c9c5bd", "#7d8aa5", "#e2a08a", "#c8553d", "#8c2f1b")
 
 
@@ -20,9 +20,7 @@ def means(rows: list[dict], presets: list[str]) -> dict[str, float]:
     """Mean E_a of the noisy input, of the best classical filter per mesh and level, and of the presets."""
     return {
         "noisy": float(np.mean([row["noisy"]["e_a"] for row in rows])),
-        "best classical": float(
-            np.mean([min(v["e_a"] for k, v in row.items() if k.startswith(CLASSICAL)) for row in rows])
-        ),
+        "best classical": float(np.mean([best_classical(row) for row in rows])),
         **{f"gcnd, {preset}": float(np.mean([row[preset]["e_a"] for row in rows])) for preset in presets},
     }
 
@@ -68,8 +66,7 @@ def main() -> None:
     n = 2 + len(options.preset)
     figure.legend(handles[:n], labels[:n], loc="outside lower center", ncols=n, frameon=False)
     figure.savefig(options.chart)
-    methods = [m for m in next(iter(rows.values())) if m.startswith(CLASSICAL) or m in options.preset]
-    for method in methods:
+    for method in (*CLASSICAL, *options.preset):
         error = np.mean([row[method]["e_a"] for row in rows.values()])
         print(f"{method}: E_a {error:.2f}, {seconds(list(rows.values()), method):.1f} s for 100,000 faces")
 

@@ -16,12 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from gcnd import _geom, predict
-from gcnd.data.shape_cache import load_shapes
 from gcnd.denoise import denoise_arrays
 from gcnd.metrics import normal_error
 from gcnd.nn.cascade import Cascade
-from gcnd.train.corpus import VALIDATION_SEED
-from gcnd.train.samples import CleanShape
+from gcnd.train.corpus import VALIDATION_SEED, generated_shapes
 from gcnd.weights import load_cascade
 
 N_SHAPES = 6
@@ -67,10 +65,7 @@ def main() -> None:
     cascade = load_cascade(options.preset)
     ours = predict._cover
     ways = {f"blind {p}": (blind, p) for p in BLIND} | {f"coverage {w}": (ours, w) for w in COVERAGE}
-    shapes = [
-        CleanShape(s.name, s.kind, s.vertices, s.faces)
-        for s in load_shapes(N_SHAPES, VALIDATION_SEED, options.shapes)
-    ]
+    shapes = generated_shapes(N_SHAPES, VALIDATION_SEED, options.shapes)
     kinds = sorted({shape.kind for shape in shapes})
     print("| cover | patches a face | " + " | ".join(kinds) + " |")
     print("|---|---|" + "---|" * len(kinds))

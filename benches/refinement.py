@@ -15,11 +15,9 @@ import numpy as np
 from last_pass import last_prediction
 
 from gcnd import _geom
-from gcnd.data.shape_cache import load_shapes
 from gcnd.nn.cascade import RefinementConfig
 from gcnd.predict import refined
-from gcnd.train.corpus import VALIDATION_SEED
-from gcnd.train.samples import CleanShape
+from gcnd.train.corpus import VALIDATION_SEED, generated_shapes
 from gcnd.weights import load_cascade
 
 N_SHAPES = 12
@@ -49,8 +47,7 @@ def main() -> None:
     options = parser.parse_args()
     cascade = load_cascade(options.preset)
     errors: dict[str, dict[str, list[float]]] = {name: {} for name in REFINEMENTS}
-    for drawn in load_shapes(N_SHAPES, VALIDATION_SEED, options.shapes):
-        shape = CleanShape(drawn.name, drawn.kind, drawn.vertices, drawn.faces)
+    for shape in generated_shapes(N_SHAPES, VALIDATION_SEED, options.shapes):
         for level in LEVELS:
             noisy = shape.noise.sample(level=level, seed=NOISE_SEED)
             vertices, prediction = last_prediction(shape.topology, noisy, cascade)

@@ -1,4 +1,4 @@
-"""Gathers and neighbour search inside patches: native kernels on the CPU, plain torch elsewhere.
+"""Gathers, neighbour search and pooling inside patches: native kernels on the CPU, plain torch elsewhere.
 
 The native kernels work on the tensors' own memory, in float32 and bfloat16, parallel over patches.
 Both paths give the same values; gradients too.

@@ -68,18 +68,23 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
         >>> generated_corpus(get_recipe("default"), Path("shapes"), None).shapes[0].kind  # doctest: +SKIP
         'cad'
     """
-    shapes = _procedural(recipe.n_shapes, recipe.seed, shape_folder)
+    shapes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder)
     if mesh_folder is not None:
         paths = [path for path in sorted(mesh_folder.rglob("*")) if path.suffix.lower() in SUPPORTED]
         if not paths:
             raise ConfigError(f"no mesh in {mesh_folder}", hint=f"supported: {', '.join(SUPPORTED)}")
         shapes += [_given_shape(path) for path in paths]
-    held_out = _procedural(N_VALIDATION, VALIDATION_SEED, shape_folder)
+    held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
     validation = [(shape, noisy_vertices(shape, VALIDATION_NOISE)) for shape in held_out]
     return Corpus(shapes, FreshNoise(shapes), validation)
 
 
-def _procedural(n: int, seed: int, folder: Path) -> list[CleanShape]:
+def generated_shapes(n: int, seed: int, folder: Path) -> list[CleanShape]:
+    """Loads ``n`` generated shapes from ``seed`` on, made and kept in ``folder`` where missing.
+
+    Raises:
+        GcndError: What generates shapes is not installed.
+    """
     # Only who generates shapes needs what generates them.
     try:
         from gcnd.data.shape_cache import load_shapes

@@ -1,5 +1,5 @@
-//! The network's CPU kernels: gather-max with its backward pass, the fused EdgeConv stage and k-nearest-neighbours
-//! inside a patch, on plain row-major slices.
+//! The network's CPU kernels: gather-max with its backward pass, the fused EdgeConv stage, k-nearest-neighbours
+//! and pooling inside a patch, on plain row-major slices.
 //!
 //! EdgeConv with one linear layer, `max_j leaky(W · [F_i, F_j − F_i])`, is `leaky(a_i + max_j b_j)` with
 //! `a = (W₁ − W₂) F` and `b = W₂ F`: the linear layer runs once per node, and what is left per edge is a gather
