@@ -104,6 +104,14 @@ def test_frames(case: Case, region: str) -> None:
     assert compared > 0.9 * N_CENTERS
 
 
+def test_patches_that_nobody_aligns_keep_the_axes_of_the_mesh(case: Case) -> None:
+    got = extract(case, 64, voting_region="nobody")
+    assert (got["world_from_patch"] == np.eye(3)).all()
+    aligned = extract(case, 64)
+    turned = np.einsum("prc,pnc->pnr", aligned["world_from_patch"], aligned["features"][..., 3:6])
+    np.testing.assert_allclose(got["features"][..., 3:6], turned, atol=1e-6)
+
+
 @pytest.mark.parametrize("n_nodes", [16, 64, 200])
 def test_graphs(case: Case, n_nodes: int) -> None:
     reference = PatchReference(case.vertices, case.faces)

@@ -184,8 +184,8 @@ def test_a_configuration_that_is_not_known(path: Path) -> None:
     refused(rewritten(path, cascade={**config, "stages": [without_patch]}), "does not know.*patch")
     stage = {**config["stages"][0], "network": {**config["stages"][0]["network"], "heads": 8}}
     refused(rewritten(path, cascade={**config, "stages": [stage]}), "heads")
-    stage["network"] = {**config["stages"][0]["network"], "architecture": "transformer"}
-    refused(rewritten(path, cascade={**config, "stages": [stage]}), "architecture is 'transformer'")
+    stage["network"] = {**config["stages"][0]["network"], "architecture": "perceptron"}
+    refused(rewritten(path, cascade={**config, "stages": [stage]}), "architecture is 'perceptron'")
 
 
 @pytest.mark.parametrize("change", ["missing", "extra", "shape"])

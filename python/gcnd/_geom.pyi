@@ -41,7 +41,7 @@ class PatchExtractor:
         n_nodes: int = 64,
         budget: Literal["nearest", "random"] = "nearest",
         seed: int = 0,
-        voting_region: Literal["patch", "two_ring"] = "patch",
+        voting_region: Literal["patch", "two_ring", "nobody"] = "patch",
         sigma_vote: float = ...,
         vertex_offsets: bool = True,
         scale_space: bool = False,

@@ -252,7 +252,7 @@ def _single_threads(n_threads: int) -> ThreadPoolExecutor:
 
 def _add(accumulator: _geom.NormalAccumulator, prediction: PatchPrediction, stage: StageConfig) -> None:
     centers, patches, normals = prediction
-    if stage.network.architecture == "nodes":
+    if stage.network.predicts_nodes:
         accumulator.add_nodes(
             patches.features, patches.face_ids, patches.mask, patches.world_from_patch, normals
         )

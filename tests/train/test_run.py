@@ -23,7 +23,7 @@ from gcnd.nn.cascade import Cascade, RefinementConfig, StageConfig
 from gcnd.nn.networks import build_network
 from gcnd.train import corpus as corpus_module
 from gcnd.train import run as run_module
-from gcnd.train.corpus import generated_corpus, paired_corpus
+from gcnd.train.corpus import generated_corpus, given_shapes, paired_corpus
 from gcnd.train.loop import StepReport
 from gcnd.train.pool import DenoisedPool
 from gcnd.train.recipes import RECIPES, Recipe, get_recipe
@@ -301,6 +301,28 @@ def test_meshes_of_a_folder_are_added_by_kind(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(ConfigError, match=r"no mesh in .*empty"):
         generated_corpus(RECIPE, tmp_path, tmp_path / "empty")
+
+
+def test_given_meshes_are_thinned_but_for_machine_parts_and_small_ones(tmp_path: Path) -> None:
+    for kind, subdivisions in (("smooth", 5), ("cad", 5), ("feature", 4)):
+        (tmp_path / kind).mkdir()
+        save(trimesh.creation.icosphere(subdivisions=subdivisions), tmp_path / kind / f"{kind}.ply")
+    sizes = {
+        kind: [
+            (s.name, s.kind, len(s.faces), s.draw_weight)
+            for s in given_shapes(tmp_path / kind / f"{kind}.ply")
+        ]
+        for kind in ("smooth", "cad", "feature")
+    }
+    assert sizes["smooth"] == [
+        ("smooth", "smooth", 20480, 4.0),
+        ("smooth, 1/2 of the faces", "smooth", 10240, 4.0),
+        ("smooth, 1/4 of the faces", "smooth", 5120, 4.0),
+    ]
+    assert [s[2] for s in sizes["cad"]] == [20480]
+    assert [s[2] for s in sizes["feature"]] == [5120]
+    thinned = given_shapes(tmp_path / "smooth" / "smooth.ply")[2]
+    assert np.abs(np.linalg.norm(thinned.vertices, axis=1) - 1).max() < 0.01
 
 
 def write_dataset(folder: Path) -> None:

@@ -36,7 +36,10 @@ fn voting_region_from(name: &str) -> PyResult<VotingRegion> {
     match name {
         "patch" => Ok(VotingRegion::Patch),
         "two_ring" => Ok(VotingRegion::TwoRing),
-        _ => Err(ConfigError::new_err(format!("voting_region is {name}, allowed: patch or two_ring"))),
+        "nobody" => Ok(VotingRegion::Nobody),
+        _ => Err(ConfigError::new_err(format!(
+            "voting_region is {name}, allowed: patch, two_ring or nobody"
+        ))),
     }
 }
 

@@ -21,7 +21,8 @@ class PatchConfig:
         patch_scale: k in r = k·√ā, 2…10 (paper Sec. 4.1).
         n_nodes: Nodes a patch, 16…512.
         budget: "nearest" keeps the nearest faces, "random" shrinks or repeats at random (paper Sec. 7.5).
-        voting_region: Faces that vote for the frame: all of the "patch" (text) or the "two_ring".
+        voting_region: Faces that vote for the frame: all of the "patch" (text) or the "two_ring"; "nobody" leaves
+            patches in the axes of the mesh (an ablation of paper Sec. 7.5).
         sigma_vote: σ of the voting weight in units of r. Choice: docs/choices.md#voting-sigma.
         vertex_offsets: Whether nine channels of vertex offsets follow the paper's eight.
         scale_space: Whether nine channels follow with the face's normals once the mesh is smoothed by 1, 4 and 16
@@ -31,7 +32,7 @@ class PatchConfig:
     patch_scale: float = 4.0
     n_nodes: int = 64
     budget: Literal["nearest", "random"] = "nearest"
-    voting_region: Literal["patch", "two_ring"] = "patch"
+    voting_region: Literal["patch", "two_ring", "nobody"] = "patch"
     sigma_vote: float = 1 / 3
     vertex_offsets: bool = True
     scale_space: bool = False
@@ -71,7 +72,7 @@ class StageConfig:
             raise ConfigError(f"passes is {self.passes}, allowed: 1 or more")
         if self.coverage is not None and not 0 < self.coverage < float("inf"):
             raise ConfigError(f"coverage is {self.coverage}, allowed: above 0, or none for a patch a face")
-        if self.network.architecture == "centre" and self.coverage is not None:
+        if not self.network.predicts_nodes and self.coverage is not None:
             raise ConfigError("a network that predicts only the centre needs coverage = None")
 
     def to_dict(self) -> dict[str, Any]:

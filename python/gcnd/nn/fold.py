@@ -16,6 +16,7 @@ from torch.nn import functional as F
 from gcnd.nn.layers import DynamicEdgeConv, EdgeConv
 from gcnd.nn.networks import NORMAL, CentreNormalNet, DenseNorm, GraphTrunk, NodeNormalNet
 from gcnd.nn.ops import edge_max_leaky, knn, pool_nodes
+from gcnd.nn.transformer import TransformedNet
 
 Precision = Literal["float32", "bfloat16"]
 
@@ -147,6 +148,9 @@ def for_inference(network: nn.Module, precision: Precision) -> nn.Module:
         network: One of ours, folded or not; anything else is returned as it is, but for its linear layers.
         precision: Of the linear layers and of what passes between them; features and normals stay float32.
     """
+    if isinstance(network, TransformedNet):
+        # Where it turns a patch stays as exact as the features.
+        return TransformedNet(network.transformer, for_inference(network.network, precision)).eval()
     if isinstance(network, CentreNormalNet | NodeNormalNet):
         network = folded(network)
     if precision == "float32":

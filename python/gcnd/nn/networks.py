@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor, nn
@@ -18,9 +18,13 @@ from torch.nn import functional as F
 from gcnd.errors import ConfigError
 from gcnd.nn.layers import DynamicEdgeConv, EdgeConv, NodeBatchNorm, NormOrder
 from gcnd.nn.ops import pool_nodes
+from gcnd.nn.transformer import SpatialTransformer, TransformedNet
 
 NORMAL = slice(3, 6)
 """Where a node's own normal stands among its features."""
+
+
+Architecture = Literal["centre", "nodes", "transformed-centre", "transformed-nodes"]
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,8 @@ class NetworkConfig:
     """Everything that fixes a network's layout; stored with its weights.
 
     Attributes:
-        architecture: "centre" (the paper's) or "nodes" (ours).
+        architecture: "centre" (the paper's) or "nodes" (ours); "transformed-centre" and "transformed-nodes" are the
+            same behind a spatial transformer (an ablation of paper Sec. 7.5).
         in_channels: 8, and 9 each for vertex offsets and the scale space.
         static_channels: Channels of the static EdgeConv layers (L_e); empty for a dynamic-only network.
         dynamic_channels: Channels of the dynamic EdgeConv layers (L_d); empty for a static-only network.
@@ -39,7 +44,7 @@ class NetworkConfig:
         slope: Negative slope of LeakyReLU.
     """
 
-    architecture: Literal["centre", "nodes"] = "nodes"
+    architecture: Architecture = "nodes"
     in_channels: int = 17
     static_channels: tuple[int, ...] = (32, 64)
     dynamic_channels: tuple[int, ...] = (64, 128)
@@ -50,8 +55,9 @@ class NetworkConfig:
     slope: float = 0.2
 
     def __post_init__(self) -> None:
-        if self.architecture not in ("centre", "nodes"):
-            raise ConfigError(f"architecture is {self.architecture!r}, allowed: 'centre' or 'nodes'")
+        if self.architecture not in get_args(Architecture):
+            allowed = ", ".join(get_args(Architecture))
+            raise ConfigError(f"architecture is {self.architecture!r}, allowed: {allowed}")
         if self.norm_order not in ("edge", "node"):
             raise ConfigError(f"norm_order is {self.norm_order!r}, allowed: 'edge' or 'node'")
         if self.in_channels not in (8, 17, 26):
@@ -60,6 +66,11 @@ class NetworkConfig:
             raise ConfigError("a network needs at least one static or dynamic layer")
         if not self.head_channels:
             raise ConfigError("head_channels is empty, allowed: one or more layers")
+
+    @property
+    def predicts_nodes(self) -> bool:
+        """Whether the network returns a normal for every node, not only for the centre."""
+        return self.architecture.endswith("nodes")
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the configuration as JSON-ready values."""
@@ -190,6 +201,9 @@ class NodeNormalNet(nn.Module):
         return features[..., NORMAL].float() + residual
 
 
-def build_network(config: NetworkConfig) -> CentreNormalNet | NodeNormalNet:
+def build_network(config: NetworkConfig) -> CentreNormalNet | NodeNormalNet | TransformedNet:
     """Makes the network that ``config`` describes, with fresh weights from torch's global generator."""
-    return NodeNormalNet(config) if config.architecture == "nodes" else CentreNormalNet(config)
+    network = NodeNormalNet(config) if config.predicts_nodes else CentreNormalNet(config)
+    if config.architecture.startswith("transformed"):
+        return TransformedNet(SpatialTransformer(config.in_channels, config.slope), network)
+    return network

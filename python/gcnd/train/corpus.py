@@ -28,7 +28,10 @@ N_VALIDATION = 6
 VALIDATION_NOISE = NoiseDraw("gaussian", 0.2, 0.0, 12345)
 
 MESH_WEIGHT = 4.0
-"""A mesh that the user gave is drawn as often as this many generated ones of its kind."""
+"""A mesh that the user gave is drawn as often as this many generated ones of its kind, and so is each thinned form."""
+
+FEWEST_FACES = 4000
+"""A given mesh is thinned out to no fewer."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,8 @@ class Corpus:
 def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | None) -> Corpus:
     """Makes or reads the procedural shapes of a recipe, adds the meshes of a folder, and draws noise for them.
 
-    Subfolders of ``mesh_folder`` named cad, smooth or feature give their meshes that kind; others are "feature".
+    Subfolders of ``mesh_folder`` named cad, smooth or feature give their meshes that kind; others are "feature". Meshes
+    that are no machine parts are also learned from with fewer triangles.
 
     Args:
         recipe: Says how many shapes, and from which seed on.
@@ -73,7 +77,7 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
         paths = [path for path in sorted(mesh_folder.rglob("*")) if path.suffix.lower() in SUPPORTED]
         if not paths:
             raise ConfigError(f"no mesh in {mesh_folder}", hint=f"supported: {', '.join(SUPPORTED)}")
-        shapes += [_given_shape(path) for path in paths]
+        shapes += [shape for path in paths for shape in given_shapes(path)]
     held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
     validation = [(shape, noisy_vertices(shape, VALIDATION_NOISE)) for shape in held_out]
     return Corpus(shapes, FreshNoise(shapes), validation)
@@ -95,11 +99,30 @@ def generated_shapes(n: int, seed: int, folder: Path) -> list[CleanShape]:
     return [CleanShape(s.name, s.kind, s.vertices, s.faces) for s in load_shapes(n, seed, folder)]
 
 
-def _given_shape(path: Path) -> CleanShape:
+def given_shapes(path: Path) -> list[CleanShape]:
+    """Reads a clean mesh of the user's and thins it out by quadrics, to a half and to a quarter of its faces.
+
+    The same body with detail at the size of fewer triangles, as most published scans have it. Machine parts, whose
+    planes would be left with a few slivers, and meshes that would be left with too few faces stay as they are.
+
+    Raises:
+        MeshError: The mesh cannot be read.
+
+    Choice: docs/choices.md#training-shapes.
+    """
+    from gcnd.data.shapes_decimate import decimated
+
     arrays, _ = to_arrays(load(path))
     kind = path.parent.name if path.parent.name in ("cad", "smooth", "feature") else "feature"
     mesh, _ = arrays.welded()
-    return CleanShape(path.stem, kind, mesh.vertices, mesh.faces, draw_weight=MESH_WEIGHT)
+    shapes = [CleanShape(path.stem, kind, mesh.vertices, mesh.faces, draw_weight=MESH_WEIGHT)]
+    for divisor in () if kind == "cad" else (2, 4):
+        n_faces = len(mesh.faces) / divisor
+        if n_faces >= FEWEST_FACES:
+            vertices, faces = decimated(mesh.vertices, mesh.faces, n_faces)
+            name = f"{path.stem}, 1/{divisor} of the faces"
+            shapes.append(CleanShape(name, kind, vertices, faces, draw_weight=MESH_WEIGHT))
+    return shapes
 
 
 class PairSource:

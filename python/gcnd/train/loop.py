@@ -207,8 +207,6 @@ class Trainer:
         started, first = time.monotonic(), self.step
         for batch in batches(self.source, self.config, self.step):
             loss = self._one_step(Batch(*(t.to(self.device) for t in batch)))
-            self.step += 1
-            self.average.update(self.network, self.step)
             speed = (self.step - first) / (time.monotonic() - started)
             after_step(
                 StepReport(
@@ -223,17 +221,31 @@ class Trainer:
                 return
 
     def _one_step(self, batch: Batch) -> float:
-        config = self.config
         self.network.train()
-        for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate(config, self.step)
+        loss = self.loss_of(batch)
+        self.backpropagate(loss)
+        self.move_weights()
+        return float(mean_over_processes(loss.detach()))
+
+    def loss_of(self, batch: Batch) -> Tensor:
+        """Runs the network on a batch and returns its loss."""
+        config = self.config
         low = config.precision == "bfloat16"
         kind = torch.device(self.device).type
         with torch.autocast(kind, dtype=torch.bfloat16) if low else nullcontext():
             predicted = self.shared(batch.features, batch.neighbors)
-        loss = LOSSES[config.loss](predicted.float(), batch)
+        return LOSSES[config.loss](predicted.float(), batch)
+
+    def backpropagate(self, loss: Tensor) -> None:
+        """Replaces the gradients by those of a loss."""
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), config.grad_clip)
+
+    def move_weights(self) -> None:
+        """Takes one step of the optimiser along the present gradients, and the average after it."""
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(self.config, self.step)
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.config.grad_clip)
         self.optimizer.step()
-        return float(mean_over_processes(loss.detach()))
+        self.step += 1
+        self.average.update(self.network, self.step)

@@ -11,9 +11,12 @@ from torch import Tensor
 
 from gcnd import _geom
 from gcnd.data.noise import NOISE_KINDS, NoiseKind, NoiseSource
+from gcnd.nn.transformer import vector_starts
 from gcnd.predict import PatchArrays, make_extractor
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from gcnd.nn.cascade import PatchConfig
@@ -128,8 +131,10 @@ class VertexSource(Protocol):
 class FreshNoise:
     """Draws a shape, its kind first so that each kind is seen as often as `KIND_SHARES` says, and fresh noise."""
 
-    def __init__(self, shapes: list[CleanShape]):
-        self.shapes = shapes
+    def __init__(
+        self, shapes: list[CleanShape], draw_noise: Callable[[np.random.Generator], NoiseDraw] = draw_noise
+    ):
+        self.shapes, self.draw_noise = shapes, draw_noise
         kinds = sorted({s.kind for s in shapes})
         self.shares = np.zeros(len(shapes))
         for kind in kinds:
@@ -140,7 +145,7 @@ class FreshNoise:
     def draw(self, rng: np.random.Generator) -> tuple[CleanShape, NDArray[np.float64]]:
         """Returns a shape and its vertices with noise."""
         shape = self.shapes[int(rng.choice(len(self.shapes), p=self.shares))]
-        return shape, noisy_vertices(shape, draw_noise(rng))
+        return shape, noisy_vertices(shape, self.draw_noise(rng))
 
 
 def noisy_vertices(shape: CleanShape, noise: NoiseDraw) -> NDArray[np.float64]:
@@ -199,8 +204,7 @@ def flip_frames(batch: Batch, rng: np.random.Generator) -> Batch:
     """
     turn = torch.from_numpy(np.where(rng.random(len(batch.features)) < 0.5, -1.0, 1.0).astype(np.float32))
     turn = turn[:, None, None]
-    # Centroid and normal, then vectors only.
-    for start in (0, 3, *range(8, batch.features.shape[-1], 3)):
+    for start in vector_starts(batch.features.shape[-1]):
         batch.features[..., start + 1 : start + 3] *= turn
     batch.target[..., 1:] *= turn
     return batch

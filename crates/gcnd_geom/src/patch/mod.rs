@@ -207,8 +207,7 @@ impl<'a> PatchExtractor<'a> {
     /// One patch: select, align, fix to the budget, write.
     fn extract_one(&self, face_id: u32, row: PatchRow<'_>, scratch: &mut PatchScratch) -> (DMat3, f64) {
         let scale = self.select_into(face_id, scratch);
-        let (tensor, _) = self.voting_tensor(&scale, scratch);
-        let world_from_patch = voting::patch_frame(&tensor, scale.area_normal, &scratch.locals);
+        let world_from_patch = self.frame(&scale, scratch);
         let PatchScratch { select, locals, picks } = scratch;
         let n_real = budget::fix_to_budget(
             select.candidates.len(),
@@ -246,10 +245,20 @@ impl<'a> PatchExtractor<'a> {
         scale
     }
 
+    /// Eqs. 2 and 3: the frame of the patch in `scratch`; the axes of the mesh where nobody votes.
+    fn frame(&self, scale: &PatchScale, scratch: &PatchScratch) -> DMat3 {
+        if self.params.voting_region == VotingRegion::Nobody {
+            return DMat3::IDENTITY;
+        }
+        let (tensor, _) = self.voting_tensor(scale, scratch);
+        voting::patch_frame(&tensor, scale.area_normal, &scratch.locals)
+    }
+
     /// Eq. 2's tensor and Σ μ of the patch in `scratch`.
     fn voting_tensor(&self, scale: &PatchScale, scratch: &PatchScratch) -> (Symmetric3, f64) {
         let sigma_vote = self.params.sigma_vote;
         match self.params.voting_region {
+            VotingRegion::Nobody => (Symmetric3::default(), 0.0),
             VotingRegion::Patch => voting::voting_tensor(scratch.locals.iter().copied(), sigma_vote),
             VotingRegion::TwoRing => {
                 let ring = &scratch.select.two_ring;
@@ -318,7 +327,7 @@ mod tests {
             assert!((tensor.diagonal - expected.diagonal).length() < 1e-15);
             assert!((tensor.off_diagonal - expected.off_diagonal).length() < 1e-15);
             // T lives in the plane of z and (1, 1, 0); e1 leans towards the mean normal, which leans to −x −y.
-            let frame = voting::patch_frame(&tensor, scale.area_normal, &scratch.locals);
+            let frame = extractor.frame(&scale, &scratch);
             assert!(frame.x_axis.z > 0.9 && frame.x_axis.x < 0.0);
             // The other face lies along +e2; e3 has no votes at all.
             assert!((frame.x_axis.x - frame.x_axis.y).abs() < 1e-15);

@@ -25,6 +25,8 @@ pub enum VotingRegion {
     Patch,
     /// The centre and its 2-ring (the authors' program).
     TwoRing,
+    /// Nobody: patches keep the axes of the mesh, "w/o any alignment" of the paper's Sec. 7.5.
+    Nobody,
 }
 
 /// What a patch is and what its nodes carry.
