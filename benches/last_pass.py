@@ -18,9 +18,12 @@ def last_prediction(
         Positions (V, 3) before the last vertex update, and the last stage's prediction.
     """
     passes = cascade.passes()
+    roughness = _geom.mesh_roughness(topology, vertices)
     for index, (stage, network) in enumerate(passes):
         precision = fast_precision("cpu")
-        prediction = predict_normals(topology, vertices, stage, network, seed=index, precision=precision)
+        prediction = predict_normals(
+            topology, vertices, stage, network, seed=index, roughness=roughness, precision=precision
+        )
         if index < len(passes) - 1:
             iterations = cascade.config.vertex_iterations
             vertices = _geom.update_vertices(topology, vertices, prediction.normals, iterations)

@@ -143,6 +143,20 @@ def test_scale_space_follows_the_other_channels(case: Case) -> None:
             np.testing.assert_allclose(world[:, :, (1, 4, 16).index(iteration)], want, rtol=0, atol=2e-6)
 
 
+def test_roughness(case: Case) -> None:
+    got = _geom.mesh_roughness(case.topology, case.vertices)
+    np.testing.assert_allclose(got, filters.mesh_roughness(case.vertices, case.faces), rtol=0, atol=1e-9)
+    assert -3 < got[0] < got[1] < got[2] < got[3] < 0.5
+
+
+def test_roughness_is_the_same_on_every_node_and_comes_last(case: Case) -> None:
+    roughness = np.array([-2.5, -1.25, -0.5, 0.75])
+    for options in ({}, {"scale_space": True}, {"vertex_offsets": False}):
+        got = extract(case, 64, roughness=roughness, **options)["features"]
+        np.testing.assert_array_equal(got[..., :-4], extract(case, 64, **options)["features"])
+        assert (got[..., -4:] == roughness.astype(np.float32)).all()
+
+
 @pytest.mark.parametrize("n_nodes", [16, 200])
 def test_random_budget_draws_from_the_patch(case: Case, n_nodes: int) -> None:
     reference = PatchReference(case.vertices, case.faces)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import threading
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +15,9 @@ from torch import Tensor, nn
 
 import gcnd.predict
 from gcnd import _geom
+from gcnd.denoise import denoise_arrays
 from gcnd.errors import ConfigError
-from gcnd.nn.cascade import PatchConfig, RefinementConfig, StageConfig
+from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, RefinementConfig, StageConfig
 from gcnd.nn.networks import NORMAL, NetworkConfig
 from gcnd.predict import Prediction, predict_normals, refined
 
@@ -132,3 +135,49 @@ def test_a_limit_on_the_spread_keeps_normals_that_predictions_disagree_about() -
     assert moved(tolerance=3.0) > 0.95 * everywhere
     assert moved(tolerance=3.0, largest_spread=0.5) == moved(tolerance=3.0)
     assert moved(tolerance=3.0, largest_spread=0.03) < 0.05 * everywhere
+
+
+class LastFeature(nn.Module):
+    """Answers with every node's own normal; remembers the last four channels."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: list[np.ndarray] = []
+
+    def forward(self, features: Tensor, neighbors: Tensor) -> Tensor:
+        self.seen.append(features[0, 0, -4:].numpy())
+        return features[..., NORMAL].contiguous()
+
+
+def test_a_network_is_told_how_rough_the_mesh_is_or_was() -> None:
+    patch = PatchConfig(n_nodes=32, roughness=True)
+    stage = StageConfig(NetworkConfig(in_channels=21), patch, coverage=1.0)
+    own = _geom.mesh_roughness(TOPOLOGY, VERTICES)
+    for given, expected in ((None, own), (own + 0.5, own + 0.5)):
+        network = LastFeature()
+        predict_normals(TOPOLOGY, VERTICES, stage, network, roughness=given)
+        assert network.seen
+        assert all(np.array_equal(seen, expected.astype(np.float32)) for seen in network.seen)
+    # A network that does not ask for it does not see it.
+    plain = LastFeature()
+    predict_normals(TOPOLOGY, VERTICES, STAGE, plain, roughness=own)
+    assert plain.seen[0].tolist() != own.astype(np.float32).tolist()
+
+
+def test_every_pass_is_told_how_rough_the_mesh_was_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[np.ndarray] = []
+
+    def remembered(*arguments: Any, roughness: np.ndarray, **options: Any) -> Any:
+        told.append(roughness)
+        return predict_normals(*arguments, roughness=roughness, **options)
+
+    # `gcnd.denoise` is the function; the module has the same name.
+    monkeypatch.setattr(importlib.import_module("gcnd.denoise"), "predict_normals", remembered)
+    stage = StageConfig(
+        NetworkConfig(in_channels=21), PatchConfig(n_nodes=32, roughness=True), passes=3, coverage=1.0
+    )
+    noisy = VERTICES * (1 + 0.02 * np.random.default_rng(1).standard_normal((len(VERTICES), 1)))
+    denoise_arrays(noisy, FACES, Cascade(CascadeConfig((stage,))))
+    expected = _geom.mesh_roughness(TOPOLOGY, noisy - noisy.mean(axis=0))
+    assert len(told) == 3
+    assert all(np.array_equal(roughness, expected) for roughness in told)

@@ -45,6 +45,7 @@ class PatchExtractor:
         sigma_vote: float = ...,
         vertex_offsets: bool = True,
         scale_space: bool = False,
+        roughness: NDArray[np.float64] | None = None,
     ) -> None: ...
     @property
     def n_channels(self) -> int: ...
@@ -111,6 +112,9 @@ def classify_faces(
     topology: Topology, vertices: Points, *, patch_scale: float = 4.0, sigma_vote: float = ...
 ) -> NDArray[np.uint8]:
     """Classes (F,): 0 flat, 1 edge, 2 corner, 3 transitional (paper Sec. 5.2)."""
+
+def mesh_roughness(topology: Topology, vertices: Points) -> NDArray[np.float64]:
+    """How rough the mesh is (4,): log₁₀ of quantiles, see the core's `mesh_roughness`."""
 
 def refine_normals(
     topology: Topology,

@@ -134,6 +134,7 @@ def denoise_arrays(
     origin = vertices.mean(axis=0)
     vertices = vertices - origin
     topology = _geom.Topology(faces, len(vertices))
+    roughness = _geom.mesh_roughness(topology, vertices)
     passes = cascade.passes()
     for index, (stage, network) in enumerate(passes):
         label = f"normals, pass {index + 1} of {len(passes)}"
@@ -149,6 +150,7 @@ def denoise_arrays(
             stage,
             network,
             seed=(seed + index) % 2**64,
+            roughness=roughness,
             device=device,
             precision=precision,
             progress=report,

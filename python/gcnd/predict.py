@@ -89,9 +89,15 @@ class PatchArrays:
 
 
 def make_extractor(
-    topology: _geom.Topology, vertices: NDArray[np.float64], patch: PatchConfig, seed: int
+    topology: _geom.Topology,
+    vertices: NDArray[np.float64],
+    patch: PatchConfig,
+    seed: int,
+    roughness: NDArray[np.float64] | None = None,
 ) -> _geom.PatchExtractor:
-    """Prepares patch extraction from a mesh as ``patch`` describes it."""
+    """Prepares patch extraction from a mesh as ``patch`` describes it; see `predict_normals` for ``roughness``."""
+    if patch.roughness and roughness is None:
+        roughness = _geom.mesh_roughness(topology, vertices)
     return _geom.PatchExtractor(
         topology,
         vertices,
@@ -103,6 +109,7 @@ def make_extractor(
         sigma_vote=patch.sigma_vote,
         vertex_offsets=patch.vertex_offsets,
         scale_space=patch.scale_space,
+        roughness=roughness if patch.roughness else None,
     )
 
 
@@ -113,6 +120,7 @@ def predict_normals(
     network: nn.Module,
     *,
     seed: int = 0,
+    roughness: NDArray[np.float64] | None = None,
     device: torch.device | str = "cpu",
     precision: Precision = "float32",
     progress: Callable[[float], None] | None = None,
@@ -129,6 +137,8 @@ def predict_normals(
         stage: How to cut patches, and how many.
         network: Maps (P, N, C) features and (P, N, 3) neighbours to (P, N, 3) or (P, 3) normals.
         seed: Chooses the patch centres.
+        roughness: Of the mesh before its first pass (4,), as ``_geom.mesh_roughness`` gives it; ``None`` takes that of
+            ``vertices``.
         device: Where the network's weights are.
         precision: Of the network's linear layers and of what passes between them.
         progress: Called with the fraction done.
@@ -138,7 +148,7 @@ def predict_normals(
 
     Paper: Sec. 5. Choice: docs/choices.md#cover.
     """
-    extractor = make_extractor(topology, vertices, stage.patch, seed)
+    extractor = make_extractor(topology, vertices, stage.patch, seed, roughness)
     accumulator = _geom.NormalAccumulator(topology.n_faces)
     chosen = (
         _every_face(topology.n_faces)

@@ -13,6 +13,7 @@ import torch
 import trimesh
 from train_cases import STAGE, TRAIN, clean, cube, sphere
 
+from gcnd import _geom
 from gcnd.data import shape_cache
 from gcnd.data.noise import add_noise
 from gcnd.data.shapes import Shape
@@ -25,7 +26,7 @@ from gcnd.train import corpus as corpus_module
 from gcnd.train import run as run_module
 from gcnd.train.corpus import generated_corpus, given_shapes, paired_corpus
 from gcnd.train.loop import StepReport
-from gcnd.train.pool import DenoisedPool
+from gcnd.train.pool import _STREAM, DenoisedPool
 from gcnd.train.recipes import RECIPES, Recipe, get_recipe
 from gcnd.train.run import TrainingRun, adapted, append_line, widened
 from gcnd.train.samples import CleanShape, FreshNoise
@@ -204,16 +205,18 @@ def test_a_run_starts_from_given_weights_stage_by_stage(straight: Path, tmp_path
         assert all(torch.equal(found[key], given[key]) for key in weights)
 
 
-def test_weights_widened_for_new_channels_answer_the_same() -> None:
-    wider = replace(
-        STAGE, network=replace(STAGE.network, in_channels=26), patch=replace(STAGE.patch, scale_space=True)
-    )
+@pytest.mark.parametrize(
+    "channels", [{"scale_space": True}, {"roughness": True}, {"scale_space": True, "roughness": True}]
+)
+def test_weights_widened_for_new_channels_answer_the_same(channels: dict[str, bool]) -> None:
+    patch = replace(STAGE.patch, **channels)
+    wider = replace(STAGE, network=replace(STAGE.network, in_channels=patch.n_channels), patch=patch)
     torch.manual_seed(5)
     narrow = build_network(STAGE.network)
     torch.nn.init.normal_(narrow.out.weight)
     wide = build_network(wider.network)
     wide.load_state_dict(widened(narrow.state_dict(), STAGE, wider))
-    features = torch.randn(3, 32, 26)
+    features = torch.randn(3, 32, patch.n_channels)
     neighbors = torch.randint(0, 32, (3, 32, 3), dtype=torch.int32)
     expected = narrow.eval()(features[..., :17], neighbors)
     assert torch.allclose(wide.eval()(features, neighbors), expected, atol=1e-5)
@@ -233,8 +236,20 @@ def test_weights_widened_for_new_channels_answer_the_same() -> None:
         (STAGE, replace(STAGE, network=replace(STAGE.network, knn_k=5))),
         (STAGE, replace(STAGE, patch=replace(STAGE.patch, n_nodes=48))),
         (STAGE, replace(STAGE, patch=replace(STAGE.patch, vertex_offsets=False, scale_space=True))),
+        (
+            replace(
+                STAGE,
+                network=replace(STAGE.network, in_channels=21),
+                patch=replace(STAGE.patch, roughness=True),
+            ),
+            replace(
+                STAGE,
+                network=replace(STAGE.network, in_channels=30),
+                patch=replace(STAGE.patch, roughness=True, scale_space=True),
+            ),
+        ),
     ],
-    ids=["fewer channels", "other network", "other patches", "other channels"],
+    ids=["fewer channels", "other network", "other patches", "other channels", "channels in between"],
 )
 def test_weights_of_another_layout_are_refused(given: StageConfig, wanted: StageConfig) -> None:
     with pytest.raises(ConfigError, match="another layout"):
@@ -252,7 +267,7 @@ def test_a_pool_of_other_meshes_is_refused(tmp_path: Path) -> None:
     shapes = [clean(sphere()), clean(cube(4))]
     first = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 3, 0)
     again = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 3, 0)
-    assert [index for index, _ in again.members] == [index for index, _ in first.members]
+    assert [member.shape for member in again.members] == [member.shape for member in first.members]
     other = [clean(cube(2)), *shapes]
     with pytest.raises(ConfigError, match="made from other meshes"):
         DenoisedPool(tmp_path, FreshNoise(other), other, [], 3, 0)
@@ -264,8 +279,24 @@ def test_shapes_of_one_name_stay_apart_in_a_pool(tmp_path: Path) -> None:
 
     shapes = [named(clean(sphere())), named(clean(cube(4)))]
     pool = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 12, 0)
-    assert {index for index, _ in pool.members} == {0, 1}
-    assert all(len(vertices) == len(shapes[index].vertices) for index, vertices in pool.members)
+    assert {member.shape for member in pool.members} == {0, 1}
+    assert all(len(member.vertices) == len(shapes[member.shape].vertices) for member in pool.members)
+
+
+def test_a_pool_keeps_how_rough_its_meshes_were_before(tmp_path: Path) -> None:
+    shapes = [clean(sphere())]
+    torch.manual_seed(6)
+    stages = [(STAGE, build_network(STAGE.network).eval())]
+    pool = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, stages, 2, 0)
+    rng = np.random.default_rng(0)
+    drawn = {float(mesh.roughness[2]): mesh for mesh in (pool.draw(rng) for _ in range(20))}
+    assert len(drawn) == 2
+    for mesh in drawn.values():
+        own = _geom.mesh_roughness(mesh.shape.topology, mesh.vertices)
+        assert np.abs(mesh.roughness - own).max() > 0.05
+    noise = FreshNoise(shapes)
+    originals = [noise.draw(np.random.default_rng([0, _STREAM, number])).roughness for number in range(2)]
+    assert sorted(drawn) == sorted(float(roughness[2]) for roughness in originals)
 
 
 def test_a_line_cut_short_is_replaced(tmp_path: Path) -> None:
@@ -349,7 +380,7 @@ def test_a_run_on_pairs_learns_from_them_alone(tmp_path: Path) -> None:
     corpus = paired_corpus(tmp_path / "data")
     names = ["ball_n1", "ball_noisy", "big_box_n1", "big_box_noisy"]
     assert [shape.name for shape in corpus.shapes] == names
-    assert [shape.name for shape, _ in corpus.validation] == ["egg_n1", "egg_noisy"]
+    assert [mesh.shape.name for mesh in corpus.validation] == ["egg_n1", "egg_noisy"]
     rng = np.random.default_rng(0)
     drawn = [corpus.source.draw(rng) for _ in range(60)]
     assert sorted({shape.name for shape, _ in drawn}) == names

@@ -20,6 +20,7 @@ from gcnd.train.samples import (
     CleanShape,
     FreshNoise,
     NoiseDraw,
+    NoisyMesh,
     draw_noise,
     flip_frames,
     make_chunk,
@@ -28,7 +29,7 @@ from gcnd.train.samples import (
 )
 
 PATCH = PatchConfig(n_nodes=32)
-SCALE_PATCH = PatchConfig(n_nodes=32, scale_space=True)
+SCALE_PATCH = PatchConfig(n_nodes=32, scale_space=True, roughness=True)
 PAPER_PATCH = PatchConfig(n_nodes=32, vertex_offsets=False, budget="random")
 
 
@@ -38,8 +39,8 @@ class FixedSource:
     def __init__(self, shape: CleanShape, vertices: NDArray[np.float64]):
         self.shape, self.vertices = shape, vertices
 
-    def draw(self, rng: np.random.Generator) -> tuple[CleanShape, NDArray[np.float64]]:
-        return self.shape, self.vertices
+    def draw(self, rng: np.random.Generator) -> NoisyMesh:
+        return NoisyMesh.untouched(self.shape, self.vertices)
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +119,11 @@ def test_turned_frames_describe_the_same_patches(
         before = make_chunk(both, patch, replace(CHUNK, n_patches=64), 0, 0)
     after = flip_frames(Batch(*(t.clone() for t in before)), np.random.default_rng(3))
     half_turn = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
-    starts = [0, 3, *(8 + 3 * i for i in range((patch.n_channels - 8) // 3))]
+    of_mesh = 4 * patch.roughness
+    starts = [0, 3, *(8 + 3 * i for i in range((patch.n_channels - 8 - of_mesh) // 3))]
+    assert torch.equal(after.features[..., 6:8], before.features[..., 6:8])
+    n_own = patch.n_channels - of_mesh
+    assert torch.equal(after.features[..., n_own:], before.features[..., n_own:])
     turned = 0
     for p in range(64):
         vectors = [(after.features[p, :, s : s + 3], before.features[p, :, s : s + 3]) for s in starts]
@@ -245,7 +250,10 @@ def test_noise_as_training_sees_it() -> None:
     levels = np.array([d.level for d in draws])
     assert levels.min() >= 0
     assert levels.max() <= 0.7
-    assert abs(np.mean(levels < 0.05) - 0.1) < 0.02
+    assert abs(np.mean(levels == 0) - 0.03) < 0.01
+    faint = levels[(levels > 0) & (levels < 0.05)]
+    assert abs(len(faint) / len(levels) - 0.12) < 0.02
+    assert abs(np.mean(faint < np.sqrt(1e-3 * 0.05)) - 0.5) < 0.08
     assert abs(np.mean(levels > 0.4) - 0.1) < 0.02
     assert all(0.1 <= d.fraction <= 0.6 for d in draws)
     assert len({d.seed for d in draws}) > 3990

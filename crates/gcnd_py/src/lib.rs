@@ -31,5 +31,5 @@ mod _geom {
     #[pymodule_export]
     use super::mesh::{PyTopology, face_geometry, validate, weld};
     #[pymodule_export]
-    use super::patches::{PyCover, PyNormalAccumulator, PyPatchExtractor, classify_faces};
+    use super::patches::{PyCover, PyNormalAccumulator, PyPatchExtractor, classify_faces, mesh_roughness};
 }

@@ -4,7 +4,8 @@ use crate::arrays::{self, Points, slice, slice_mut};
 use crate::errors::{ConfigError, IntoPython};
 use crate::mesh::PyTopology;
 use gcnd_geom::patch::{
-    self, Budget, Cover, NormalAccumulator, PatchBuffers, PatchExtractor, PatchParams, VotingRegion,
+    self, Budget, Cover, NormalAccumulator, PatchBuffers, PatchExtractor, PatchParams,
+    ROUGHNESS_QUANTILES, VotingRegion,
 };
 use gcnd_geom::{DVec3, Topology};
 use numpy::{
@@ -51,12 +52,21 @@ fn budget_from(name: &str, seed: u64) -> PyResult<Budget> {
     }
 }
 
+fn roughness_from(values: PyReadonlyArray1<'_, f64>) -> PyResult<[f64; ROUGHNESS_QUANTILES.len()]> {
+    let values = values.as_array().to_vec();
+    let n = values.len();
+    values.try_into().map_err(|_| {
+        let allowed = ROUGHNESS_QUANTILES.len();
+        ConfigError::new_err(format!("roughness has {n} values, allowed: {allowed}"))
+    })
+}
+
 #[pymethods]
 impl PyPatchExtractor {
     #[new]
     #[pyo3(signature = (topology, vertices, *, patch_scale=4.0, n_nodes=64, budget="nearest", seed=0,
                         voting_region="patch", sigma_vote=1.0 / 3.0, vertex_offsets=true,
-                        scale_space=false))]
+                        scale_space=false, roughness=None))]
     #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
     fn new(
         py: Python<'_>,
@@ -70,6 +80,7 @@ impl PyPatchExtractor {
         sigma_vote: f64,
         vertex_offsets: bool,
         scale_space: bool,
+        roughness: Option<PyReadonlyArray1<'_, f64>>,
     ) -> PyResult<Self> {
         let params = PatchParams {
             patch_scale,
@@ -79,6 +90,7 @@ impl PyPatchExtractor {
             sigma_vote,
             vertex_offsets,
             scale_space,
+            roughness: roughness.map(roughness_from).transpose()?,
         };
         let vertices = arrays::points("vertices", &vertices)?.to_vec();
         let mesh = Mesh { topology: Arc::clone(&topology.inner), vertices };
@@ -142,6 +154,17 @@ pub fn classify_faces<'py>(
     let vertices = arrays::points("vertices", &vertices)?;
     let classes = py.detach(|| patch::classify_faces(&topology.inner, vertices, params)).into_python()?;
     Ok(classes.into_iter().map(|class| class as u8).collect::<Vec<_>>().into_pyarray(py))
+}
+
+#[pyfunction]
+pub fn mesh_roughness<'py>(
+    py: Python<'py>,
+    topology: &PyTopology,
+    vertices: Points<'py>,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    let vertices = arrays::points("vertices", &vertices)?;
+    let roughness = py.detach(|| patch::mesh_roughness(&topology.inner, vertices)).into_python()?;
+    Ok(roughness.to_vec().into_pyarray(py))
 }
 
 #[pyclass(name = "NormalAccumulator", module = "gcnd._geom", frozen)]

@@ -27,6 +27,8 @@ class PatchConfig:
         vertex_offsets: Whether nine channels of vertex offsets follow the paper's eight.
         scale_space: Whether nine channels follow with the face's normals once the mesh is smoothed by 1, 4 and 16
             iterations. Choice: docs/choices.md#features.
+        roughness: Whether four channels follow that say how rough the whole noisy mesh is, the same on every node and
+            in every pass. Choice: docs/choices.md#mesh-roughness.
     """
 
     patch_scale: float = 4.0
@@ -36,11 +38,12 @@ class PatchConfig:
     sigma_vote: float = 1 / 3
     vertex_offsets: bool = True
     scale_space: bool = False
+    roughness: bool = False
 
     @property
     def n_channels(self) -> int:
-        """Channels of the features: 8, and 9 each for vertex offsets and the scale space."""
-        return 8 + 9 * self.vertex_offsets + 9 * self.scale_space
+        """Channels of the features: 8, 9 each for vertex offsets and the scale space, 4 for the roughness."""
+        return 8 + 9 * self.vertex_offsets + 9 * self.scale_space + 4 * self.roughness
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """The networks: the paper's, which returns the centre's normal, and ours, which returns every node's.
 
 Input of both: features (P, N, C_in) as patch extraction writes them, and static neighbours (P, N, 3), int32.
-Channels of the features: centroid (3), normal (3), area, degree, then the vertex offsets (9) and the normals of the
-scale space (9) where present.
+Channels of the features: centroid (3), normal (3), area, degree, then the vertex offsets (9), the normals of the
+scale space (9) and the roughness of the mesh (4) where present.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class NetworkConfig:
     Attributes:
         architecture: "centre" (the paper's) or "nodes" (ours); "transformed-centre" and "transformed-nodes" are the
             same behind a spatial transformer (an ablation of paper Sec. 7.5).
-        in_channels: 8, and 9 each for vertex offsets and the scale space.
+        in_channels: 8, 9 each for vertex offsets and the scale space, and 4 for the roughness of the mesh.
         static_channels: Channels of the static EdgeConv layers (L_e); empty for a dynamic-only network.
         dynamic_channels: Channels of the dynamic EdgeConv layers (L_d); empty for a static-only network.
         pool_channels: Channels of the layer before pooling.
@@ -60,8 +60,8 @@ class NetworkConfig:
             raise ConfigError(f"architecture is {self.architecture!r}, allowed: {allowed}")
         if self.norm_order not in ("edge", "node"):
             raise ConfigError(f"norm_order is {self.norm_order!r}, allowed: 'edge' or 'node'")
-        if self.in_channels not in (8, 17, 26):
-            raise ConfigError(f"in_channels is {self.in_channels}, allowed: 8, 17 or 26")
+        if self.in_channels not in (8, 12, 17, 21, 26, 30):
+            raise ConfigError(f"in_channels is {self.in_channels}, allowed: 8, 12, 17, 21, 26 or 30")
         if not self.static_channels and not self.dynamic_channels:
             raise ConfigError("a network needs at least one static or dynamic layer")
         if not self.head_channels:

@@ -18,8 +18,9 @@ def vector_starts(n_channels: int) -> tuple[int, ...]:
         >>> vector_starts(17)
         (0, 3, 8, 11, 14)
     """
-    # Centroid, normal; area and degree are no vectors; then vertex offsets and the scale space.
-    return (0, 3, *range(8, n_channels, 3))
+    # Centroid, normal; area and degree are no vectors; then nines of vectors, and what is said of the whole mesh.
+    n_vectors = (n_channels - 8) // 9 * 3
+    return (0, 3, *range(8, 8 + 3 * n_vectors, 3))
 
 
 class SpatialTransformer(nn.Module):

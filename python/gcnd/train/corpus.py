@@ -10,12 +10,10 @@ import numpy as np
 from gcnd.data.pairs import PairFiles, list_pairs, load_pair
 from gcnd.errors import ConfigError, GcndError
 from gcnd.mesh_io import SUPPORTED, load, to_arrays
-from gcnd.train.samples import CleanShape, FreshNoise, NoiseDraw, VertexSource, noisy_vertices
+from gcnd.train.samples import CleanShape, FreshNoise, NoiseDraw, NoisyMesh, VertexSource, noisy_vertices
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from gcnd.train.recipes import Recipe
 
@@ -46,7 +44,7 @@ class Corpus:
 
     shapes: list[CleanShape]
     source: VertexSource
-    validation: list[tuple[CleanShape, NDArray[np.float64]]]
+    validation: list[NoisyMesh]
 
 
 def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | None) -> Corpus:
@@ -79,7 +77,7 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
             raise ConfigError(f"no mesh in {mesh_folder}", hint=f"supported: {', '.join(SUPPORTED)}")
         shapes += [shape for path in paths for shape in given_shapes(path)]
     held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
-    validation = [(shape, noisy_vertices(shape, VALIDATION_NOISE)) for shape in held_out]
+    validation = [NoisyMesh.untouched(s, noisy_vertices(s, VALIDATION_NOISE)) for s in held_out]
     return Corpus(shapes, FreshNoise(shapes), validation)
 
 
@@ -128,10 +126,10 @@ def given_shapes(path: Path) -> list[CleanShape]:
 class PairSource:
     """Draws one of a dataset's noisy meshes; no noise is added."""
 
-    def __init__(self, pairs: list[tuple[CleanShape, NDArray[np.float64]]]):
+    def __init__(self, pairs: list[NoisyMesh]):
         self.pairs = pairs
 
-    def draw(self, rng: np.random.Generator) -> tuple[CleanShape, NDArray[np.float64]]:
+    def draw(self, rng: np.random.Generator) -> NoisyMesh:
         """Returns a clean shape and the noisy positions (V, 3) that were measured or made of it."""
         return self.pairs[int(rng.integers(len(self.pairs)))]
 
@@ -153,9 +151,9 @@ def paired_corpus(folder: Path) -> Corpus:
     train, test = list_pairs(folder, "train"), list_pairs(folder, "test")
     picked = [test[i] for i in np.linspace(0, len(test) - 1, min(N_VALIDATION, len(test))).astype(int)]
     pairs = [_read(pair) for pair in train]
-    return Corpus([shape for shape, _ in pairs], PairSource(pairs), [_read(pair) for pair in picked])
+    return Corpus([pair.shape for pair in pairs], PairSource(pairs), [_read(pair) for pair in picked])
 
 
-def _read(pair: PairFiles) -> tuple[CleanShape, NDArray[np.float64]]:
+def _read(pair: PairFiles) -> NoisyMesh:
     noisy, clean, faces = load_pair(pair)
-    return CleanShape(pair.noisy.stem, "feature", clean, faces), noisy
+    return NoisyMesh.untouched(CleanShape(pair.noisy.stem, "feature", clean, faces), noisy)

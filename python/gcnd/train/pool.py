@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from gcnd import _geom
 from gcnd.errors import ConfigError
 from gcnd.formats.atomic import write_atomic_npz
 from gcnd.predict import predict_normals
+from gcnd.train.samples import NoisyMesh
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,20 +33,34 @@ _STREAM = 0x706F6F6C
 
 
 def run_stages(
-    shape: CleanShape,
-    vertices: NDArray[np.float64],
+    mesh: NoisyMesh,
     stages: list[tuple[StageConfig, nn.Module]],
     seed: int,
     device: str = "cpu",
     precision: Precision = "float32",
-) -> NDArray[np.float64]:
-    """Denoises positions (V, 3) by every stage in turn: normals, then vertex updating (paper Sec. 5.1)."""
+) -> NoisyMesh:
+    """Denoises a mesh by every stage in turn: normals, then vertex updating (paper Sec. 5.1)."""
+    topology = mesh.shape.topology
     for index, (config, network) in enumerate(stages):
         prediction = predict_normals(
-            shape.topology, vertices, config, network, seed=seed + index, device=device, precision=precision
+            topology,
+            mesh.vertices,
+            config,
+            network,
+            seed=seed + index,
+            roughness=mesh.roughness,
+            device=device,
+            precision=precision,
         )
-        vertices = _geom.update_vertices(shape.topology, vertices, prediction.normals, VERTEX_ITERATIONS)
-    return vertices
+        moved = _geom.update_vertices(topology, mesh.vertices, prediction.normals, VERTEX_ITERATIONS)
+        mesh = mesh._replace(vertices=moved)
+    return mesh
+
+
+class _Member(NamedTuple):
+    shape: int
+    vertices: NDArray[np.float32]
+    roughness: NDArray[np.float64]
 
 
 class DenoisedPool:
@@ -65,26 +80,30 @@ class DenoisedPool:
     ):
         folder.mkdir(parents=True, exist_ok=True)
         self.shapes = shapes
-        self.members: list[tuple[int, NDArray[np.float32]]] = []
+        self.members: list[_Member] = []
         by_identity = {id(shape): index for index, shape in enumerate(shapes)}
         prints = [fingerprint(shape) for shape in shapes]
         for number in range(size):
             path = folder / f"{number:04d}.npz"
             if not path.exists():
-                shape, noisy = noise.draw(np.random.default_rng([seed, _STREAM, number]))
-                vertices = run_stages(shape, noisy, stages, seed + number, device, precision)
-                index = by_identity[id(shape)]
+                noisy = noise.draw(np.random.default_rng([seed, _STREAM, number]))
+                denoised = run_stages(noisy, stages, seed + number, device, precision)
+                index = by_identity[id(noisy.shape)]
                 write_atomic_npz(
-                    path, shape=index, fingerprint=prints[index], vertices=vertices.astype(np.float32)
+                    path,
+                    shape=index,
+                    fingerprint=prints[index],
+                    vertices=denoised.vertices.astype(np.float32),
+                    roughness=denoised.roughness,
                 )
             self.members.append(_load(path, prints))
             if progress is not None:
                 progress(number + 1, size)
 
-    def draw(self, rng: np.random.Generator) -> tuple[CleanShape, NDArray[np.float64]]:
-        """Returns a clean shape and its denoised positions."""
-        index, vertices = self.members[int(rng.integers(len(self.members)))]
-        return self.shapes[index], vertices.astype(np.float64)
+    def draw(self, rng: np.random.Generator) -> NoisyMesh:
+        """Returns a clean shape with its denoised positions."""
+        member = self.members[int(rng.integers(len(self.members)))]
+        return NoisyMesh(self.shapes[member.shape], member.vertices.astype(np.float64), member.roughness)
 
 
 def fingerprint(shape: CleanShape) -> str:
@@ -100,16 +119,16 @@ def fingerprint(shape: CleanShape) -> str:
     return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
 
 
-def _load(path: Path, prints: list[str]) -> tuple[int, NDArray[np.float32]]:
+def _load(path: Path, prints: list[str]) -> _Member:
     with np.load(path, allow_pickle=False) as file:
-        index, vertices = int(file["shape"]), file["vertices"]
-        same = index < len(prints) and str(file["fingerprint"]) == prints[index]
+        member = _Member(int(file["shape"]), file["vertices"], file["roughness"])
+        same = member.shape < len(prints) and str(file["fingerprint"]) == prints[member.shape]
     if not same:
         raise ConfigError(
             f"{path} was made from other meshes than this run trains on",
             hint="give the same meshes again, or another folder",
         )
-    return index, vertices
+    return member
 
 
 def evaluation_copy(network: nn.Module, state: dict[str, torch.Tensor]) -> nn.Module:

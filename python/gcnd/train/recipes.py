@@ -11,7 +11,7 @@ from gcnd.train.loop import TrainConfig
 from gcnd.train.samples import ChunkConfig
 
 DEFAULT_NETWORK = NetworkConfig(
-    in_channels=26,
+    in_channels=30,
     static_channels=(64, 64),
     dynamic_channels=(64, 64, 128),
     pool_channels=192,
@@ -60,7 +60,7 @@ REFINE_WHERE_CONSISTENT = RefinementConfig(iterations=12, sigma_r=0.15, toleranc
 
 def _default(*steps: int) -> Recipe:
     """The first stage is covered thinly: what it misses, the later ones still see."""
-    patch = PatchConfig(scale_space=True)
+    patch = PatchConfig(scale_space=True, roughness=True)
     first = StageConfig(DEFAULT_NETWORK, patch, coverage=0.7)
     second = StageConfig(DEFAULT_NETWORK, patch, passes=2, coverage=1.0)
     third = StageConfig(DEFAULT_NETWORK, patch, coverage=2.0)

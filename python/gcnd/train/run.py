@@ -28,13 +28,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from numpy.typing import NDArray
     from torch import nn
 
     from gcnd.nn.cascade import StageConfig
     from gcnd.train.corpus import Corpus
     from gcnd.train.recipes import Recipe
-    from gcnd.train.samples import CleanShape, VertexSource
+    from gcnd.train.samples import NoisyMesh, VertexSource
 
 CHECKPOINT_SECONDS = 60.0
 
@@ -111,7 +110,7 @@ class TrainingRun:
     def _save_examples(self, cascade: Cascade) -> None:
         """Validation meshes before and after, for the report: ``example-<i>.npz``."""
         ready = cascade.for_inference().to(self.device)
-        for number, (shape, noisy) in enumerate(self.corpus.validation[:N_EXAMPLES], start=1):
+        for number, (shape, noisy, _) in enumerate(self.corpus.validation[:N_EXAMPLES], start=1):
             denoised = denoise_arrays(noisy, shape.faces, ready, device=self.device)
             write_atomic_npz(
                 self.folder / f"example-{number}.npz",
@@ -128,8 +127,8 @@ class TrainingRun:
         before = written_out(earlier)
         source = self._source(index, config, before)
         starts = [
-            (shape, run_stages(shape, noisy, before, 0, self.device, config.precision))
-            for shape, noisy in (self.corpus.validation if self.is_first else [])
+            run_stages(mesh, before, 0, self.device, config.precision)
+            for mesh in (self.corpus.validation if self.is_first else [])
         ]
         trainer = Trainer(config, source, self._initial_weights(index, config, earlier), self.device)
         checkpoint = self.folder / f"stage{index + 1}.checkpoint.safetensors"
@@ -188,14 +187,14 @@ class TrainingRun:
             return earlier[-1][1].state_dict()
         return None
 
-    def _validate(
-        self, trainer: Trainer, config: TrainConfig, starts: list[tuple[CleanShape, NDArray[np.float64]]]
-    ) -> float:
+    def _validate(self, trainer: Trainer, config: TrainConfig, starts: list[NoisyMesh]) -> float:
         """Mean E_a of the averaged weights' normals on the validation meshes, in degrees."""
         network = evaluation_copy(trainer.network, trainer.average.state)
         errors = []
-        for shape, vertices in starts:
-            prediction = predict_normals(shape.topology, vertices, config.stage, network, device=self.device)
+        for shape, vertices, roughness in starts:
+            prediction = predict_normals(
+                shape.topology, vertices, config.stage, network, roughness=roughness, device=self.device
+            )
             errors.append(float(np.nanmean(_geom.normal_angles(prediction.normals, shape.normals))))
         return float(np.mean(errors))
 
@@ -228,9 +227,9 @@ def append_line(path: Path, line: str) -> None:
 def widened(
     state: dict[str, torch.Tensor], given: StageConfig, wanted: StageConfig
 ) -> dict[str, torch.Tensor]:
-    """Fits weights to a network of the same layout that may see the normals of the scale space besides.
+    """Fits weights to a network of the same layout that may see more: the scale space, the roughness of the mesh.
 
-    The weights of the new channels are zero, so that both networks answer the same.
+    The weights of the new channels, which are the last ones, are zero, so that both networks answer the same.
 
     Args:
         state: Weights of a network.
@@ -252,8 +251,11 @@ def widened(
     """
     lack = wanted.network.in_channels - given.network.in_channels
     fitted = replace(given.network, in_channels=wanted.network.in_channels)
-    patch = replace(given.patch, scale_space=wanted.patch.scale_space)
-    if lack < 0 or fitted != wanted.network or patch != wanted.patch or (lack and not fitted.static_channels):
+    patch = replace(given.patch, scale_space=wanted.patch.scale_space, roughness=wanted.patch.roughness)
+    # Between the channels that there are, none can be added.
+    in_between = given.patch.roughness and patch.scale_space != given.patch.scale_space
+    unfit = lack < 0 or in_between or (lack and not fitted.static_channels)
+    if unfit or fitted != wanted.network or patch != wanted.patch:
         raise ConfigError(
             "the weights to start from have another layout than the recipe's networks",
             hint="start from weights of the same recipe, or leave out --start-from",

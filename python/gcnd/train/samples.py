@@ -93,13 +93,16 @@ def draw_noise(rng: np.random.Generator) -> NoiseDraw:
     """Draws a kind and a level of noise as the default training sees them.
 
     Gaussian along the normals in six of ten, the rest impulsive, isotropic, varying and correlated; levels
-    mostly 0.05…0.4 of the mean edge, one in ten nearly clean, one in ten up to 0.7.
+    0.05…0.4 of the mean edge in three of four, up to 0.7 in one of ten, else nearly clean: 10⁻³…0.05, evenly in
+    their logarithm, and now and then clean.
     """
     kind = NOISE_KINDS[int(rng.choice(len(NOISE_KINDS), p=_NOISE_SHARES))]
-    low, high = [(0.0, 0.05), (0.05, 0.4), (0.4, 0.7)][int(rng.choice(3, p=[0.1, 0.8, 0.1]))]
-    return NoiseDraw(
-        kind, float(rng.uniform(low, high)), float(rng.uniform(0.1, 0.6)), int(rng.integers(2**31))
-    )
+    range_drawn = int(rng.choice(4, p=[0.03, 0.12, 0.75, 0.1]))
+    low, high = [(0.0, 0.0), (1e-3, 0.05), (0.05, 0.4), (0.4, 0.7)][range_drawn]
+    level = float(rng.uniform(low, high))
+    if range_drawn == 1:
+        level = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    return NoiseDraw(kind, level, float(rng.uniform(0.1, 0.6)), int(rng.integers(2**31)))
 
 
 def pick_faces(
@@ -120,11 +123,30 @@ def pick_faces(
     )
 
 
+class NoisyMesh(NamedTuple):
+    """A clean shape with positions that a network is to learn from.
+
+    Attributes:
+        shape: The clean mesh.
+        vertices: (V, 3) float64, noisy, or denoised by earlier stages.
+        roughness: Of the mesh with its noise, before any stage (4,); see ``_geom.mesh_roughness``.
+    """
+
+    shape: CleanShape
+    vertices: NDArray[np.float64]
+    roughness: NDArray[np.float64]
+
+    @classmethod
+    def untouched(cls, shape: CleanShape, vertices: NDArray[np.float64]) -> NoisyMesh:
+        """Makes one of positions that no stage has denoised yet."""
+        return cls(shape, vertices, _geom.mesh_roughness(shape.topology, vertices))
+
+
 class VertexSource(Protocol):
     """Gives noisy positions to train on."""
 
-    def draw(self, rng: np.random.Generator) -> tuple[CleanShape, NDArray[np.float64]]:
-        """Returns a clean shape and noisy positions (V, 3) of its vertices."""
+    def draw(self, rng: np.random.Generator) -> NoisyMesh:
+        """Returns a clean shape with noisy positions of its vertices."""
         ...
 
 
@@ -142,10 +164,10 @@ class FreshNoise:
             self.shares += KIND_SHARES[kind] * own / own.sum()
         self.shares /= self.shares.sum()
 
-    def draw(self, rng: np.random.Generator) -> tuple[CleanShape, NDArray[np.float64]]:
+    def draw(self, rng: np.random.Generator) -> NoisyMesh:
         """Returns a shape and its vertices with noise."""
         shape = self.shapes[int(rng.choice(len(self.shapes), p=self.shares))]
-        return shape, noisy_vertices(shape, self.draw_noise(rng))
+        return NoisyMesh.untouched(shape, noisy_vertices(shape, self.draw_noise(rng)))
 
 
 def noisy_vertices(shape: CleanShape, noise: NoiseDraw) -> NDArray[np.float64]:
@@ -179,8 +201,8 @@ def make_chunk(source: VertexSource, patch: PatchConfig, config: ChunkConfig, se
 def _patches_of_one_mesh(
     source: VertexSource, patch: PatchConfig, count: int, config: ChunkConfig, rng: np.random.Generator
 ) -> Batch:
-    shape, vertices = source.draw(rng)
-    extractor = make_extractor(shape.topology, vertices, patch, int(rng.integers(2**31)))
+    shape, vertices, roughness = source.draw(rng)
+    extractor = make_extractor(shape.topology, vertices, patch, int(rng.integers(2**31)), roughness)
     patches = PatchArrays(count, patch)
     # In order of id, neighbouring patches find each other's faces in the cache; chunks are shuffled later.
     patches.fill(extractor, np.sort(pick_faces(shape, count, config.balance_ratio, rng)))

@@ -22,6 +22,8 @@ pub(crate) struct PatchView<'a> {
     pub(crate) centroids: &'a [DVec3],
     /// Normals at several scales, empty where nodes do not carry them.
     pub(crate) scale_space: &'a [[DVec3; SCALES.len()]],
+    /// Of the whole mesh, empty where nodes do not carry it.
+    pub(crate) roughness: &'a [f64],
     /// The faces of the patch, the centre first, and the same faces in the units of the patch.
     pub(crate) candidates: &'a [Candidate],
     pub(crate) locals: &'a [LocalFace],
@@ -70,7 +72,7 @@ pub(crate) fn write_graph(view: &PatchView<'_>, node_of_face: &mut IdSlots, row:
 }
 
 /// Channels: centroid (3), normal (3), area (1), degree (1), three vertex offsets (9) where there is room, and the
-/// normals of the scale space (9) where there is one.
+/// normals of the scale space (9) and the roughness of the mesh (4) where there are.
 #[inline]
 fn write_features(view: &PatchView<'_>, face_id: u32, local: &LocalFace, features: &mut [f32]) {
     let axes = &view.world_from_patch;
@@ -78,7 +80,11 @@ fn write_features(view: &PatchView<'_>, face_id: u32, local: &LocalFace, feature
     write_rotated(axes, local.normal, &mut features[3..6]);
     features[6] = local.area as f32;
     features[7] = view.topology.edge_neighbors(face_id as usize).len() as f32 / 3.0;
-    let rest = &mut features[8..];
+    let n_own = features.len() - view.roughness.len();
+    let (rest, of_mesh) = features[8..].split_at_mut(n_own - 8);
+    for (channel, &value) in of_mesh.iter_mut().zip(view.roughness) {
+        *channel = value as f32;
+    }
     let n_scaled = if view.scale_space.is_empty() { 0 } else { 3 * SCALES.len() };
     let (offsets, normals) = rest.split_at_mut(rest.len() - n_scaled);
     if !offsets.is_empty() {

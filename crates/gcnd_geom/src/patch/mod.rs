@@ -7,6 +7,7 @@
 //! | how many nodes | `budget` | Sec. 5 |
 //! | features and static neighbours | `graph` | Sec. 4.3 |
 //! | normals at several scales | `scale_space` | – |
+//! | how rough the whole mesh is | `roughness` | – |
 //! | flat, edge, corner, transitional | [`classes`] | Sec. 5.2 |
 //! | overlapping patches | [`cover`] | – |
 //! | the average of what they predict | [`accumulator`] | – |
@@ -21,6 +22,7 @@ pub mod cover;
 mod graph;
 mod id_slots;
 mod params;
+mod roughness;
 mod scale_space;
 mod select;
 mod symmetric_eigen;
@@ -30,6 +32,7 @@ pub use accumulator::NormalAccumulator;
 pub use classes::{FaceClass, classify_faces};
 pub use cover::Cover;
 pub use params::{Budget, PatchParams, VotingRegion};
+pub use roughness::{ROUGHNESS_QUANTILES, mesh_roughness};
 
 use crate::error::{GeomError, Result, check_len};
 use crate::face_geometry::FaceGeometry;
@@ -83,7 +86,8 @@ pub struct PatchBuffers<'a> {
     /// (P, N, C) without unit, in the patch frame. Channels: 0–2 centroid (c_j − c_i)/r; 3–5 normal n_j;
     /// 6 area a_j/ā, ā the mean over the centre and its 2-ring; 7 degree, edge neighbours/3; and with vertex
     /// offsets 8–16, (v − c_j)/r of the three vertices in the face's order, first the one nearest to c_i; with a
-    /// scale space 9 more, the face's normals once the mesh is smoothed by 1, 4 and 16 iterations.
+    /// scale space 9 more, the face's normals once the mesh is smoothed by 1, 4 and 16 iterations; with a roughness 4
+    /// more, the same on every node.
     pub features: &'a mut [f32],
     /// (P, N, 3) nodes of the patch across the edges of each node's face; the node itself where there is none.
     pub neighbors: &'a mut [i32],
@@ -143,7 +147,8 @@ impl<'a> PatchExtractor<'a> {
         &self.params
     }
 
-    /// Channels of [`PatchBuffers::features`]: 8, and 9 each for vertex offsets and the scale space.
+    /// Channels of [`PatchBuffers::features`]: 8, 9 each for vertex offsets and the scale space, 4 for the
+    /// roughness.
     pub fn n_channels(&self) -> usize {
         self.params.n_channels()
     }
@@ -221,6 +226,7 @@ impl<'a> PatchExtractor<'a> {
             vertices: self.vertices,
             centroids: &self.geometry.centroids,
             scale_space: &self.scale_space,
+            roughness: self.params.roughness.as_ref().map_or(&[], |roughness| roughness),
             candidates: &select.candidates,
             locals,
             picks,

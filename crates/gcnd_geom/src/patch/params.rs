@@ -1,5 +1,6 @@
 //! Parameters of patch extraction.
 
+use super::roughness::ROUGHNESS_QUANTILES;
 use crate::error::{GeomError, Result};
 
 /// How a patch is fixed to `n_nodes` nodes.
@@ -48,6 +49,8 @@ pub struct PatchParams {
     pub vertex_offsets: bool,
     /// Whether nodes carry the normals of the mesh at three scales (9 more channels).
     pub scale_space: bool,
+    /// The roughness of the whole mesh that every node carries (4 more channels); see [`super::mesh_roughness`].
+    pub roughness: Option<[f64; ROUGHNESS_QUANTILES.len()]>,
 }
 
 impl Default for PatchParams {
@@ -61,6 +64,7 @@ impl Default for PatchParams {
             sigma_vote: 1.0 / 3.0,
             vertex_offsets: true,
             scale_space: false,
+            roughness: None,
         }
     }
 }
@@ -80,15 +84,18 @@ impl PatchParams {
         let check = |ok: bool, name: &'static str, value: String, allowed: &'static str| {
             if ok { Ok(()) } else { Err(GeomError::InvalidParameter { name, value, allowed }) }
         };
-        let Self { patch_scale, n_nodes, sigma_vote, .. } = *self;
+        let Self { patch_scale, n_nodes, sigma_vote, roughness, .. } = *self;
         check((2.0..=10.0).contains(&patch_scale), "patch_scale", patch_scale.to_string(), "2 to 10")?;
         check((16..=512).contains(&n_nodes), "n_nodes", n_nodes.to_string(), "16 to 512")?;
         let sigma_ok = sigma_vote.is_finite() && sigma_vote > 0.0;
-        check(sigma_ok, "sigma_vote", sigma_vote.to_string(), "a finite number above 0")
+        check(sigma_ok, "sigma_vote", sigma_vote.to_string(), "a finite number above 0")?;
+        let roughness_ok = roughness.iter().flatten().all(|value| value.is_finite());
+        check(roughness_ok, "roughness", format!("{roughness:?}"), "finite numbers")
     }
 
-    /// Features of a node: 8, and 9 each for vertex offsets and the scale space.
+    /// Features of a node: 8, 9 each for vertex offsets and the scale space, and 4 for the roughness.
     pub fn n_channels(&self) -> usize {
-        8 + 9 * usize::from(self.vertex_offsets) + 9 * usize::from(self.scale_space)
+        let n_mesh = if self.roughness.is_some() { ROUGHNESS_QUANTILES.len() } else { 0 };
+        8 + 9 * usize::from(self.vertex_offsets) + 9 * usize::from(self.scale_space) + n_mesh
     }
 }

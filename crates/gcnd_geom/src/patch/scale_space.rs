@@ -48,14 +48,14 @@ pub(crate) fn scale_space_normals(topology: &Topology, vertices: &[DVec3]) -> Ve
     normals
 }
 
-fn place_centroids(topology: &Topology, vertices: &[DVec3], centroids: &mut [DVec3]) {
+pub(super) fn place_centroids(topology: &Topology, vertices: &[DVec3], centroids: &mut [DVec3]) {
     centroids.par_iter_mut().zip(topology.faces()).with_min_len(CHUNK).for_each(|(centroid, face)| {
         let [a, b, c] = face.map(|v| vertices[v as usize]);
         *centroid = a + ((b - a) + (c - a)) / 3.0;
     });
 }
 
-fn average(topology: &Topology, current: &[DVec3], centroids: &[DVec3], next: &mut [DVec3]) {
+pub(super) fn average(topology: &Topology, current: &[DVec3], centroids: &[DVec3], next: &mut [DVec3]) {
     next.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(vertex_id, moved)| {
         let faces = topology.vertex_faces().row(vertex_id);
         let start = current[vertex_id];

@@ -1,0 +1,164 @@
+//! How rough a whole mesh is: what tells noise from detail, which a patch alone cannot.
+
+use super::scale_space::{average, place_centroids};
+use crate::error::{GeomError, Result, check_len};
+use crate::face_geometry::{FaceGeometry, mean_edge_length};
+use crate::mesh::check_vertices;
+use crate::topology::Topology;
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Shares of the vertices that are smoother than what the channels say.
+pub const ROUGHNESS_QUANTILES: [f64; 4] = [0.1, 0.25, 0.5, 0.9];
+
+/// Smallest and largest roughness that is told apart, in mean edge lengths.
+const RANGE: (f64, f64) = (1e-4, 10.0);
+
+/// log₁₀ of quantiles of |n_i · (M − 1)² v_i| / ē over the vertices, for the shares in [`ROUGHNESS_QUANTILES`].
+///
+/// M is the mean over a vertex's faces of their centroids, n_i the mean normal of its faces weighted by area, ē the mean
+/// edge length. (M − 1)² takes away what is linear, and most of what is curved, and leaves noise: with Gaussian noise of
+/// a given level along the normals the lower quantiles are nearly the same on any surface. Values are kept within −4 to
+/// 1; a mesh that has no vertex with faces is as smooth as can be.
+///
+/// # Errors
+/// [`GeomError::EmptyMesh`], [`GeomError::LengthMismatch`] when `topology` counts other vertices,
+/// [`GeomError::NonFiniteVertex`].
+///
+/// Choice: docs/choices.md#mesh-roughness.
+///
+/// ```
+/// use gcnd_geom::{fixtures, patch::mesh_roughness, Topology};
+/// let (vertices, faces) = fixtures::grid(8, 8);
+/// let topology = Topology::new(faces, vertices.len())?;
+/// assert_eq!(mesh_roughness(&topology, &vertices)?, [-4.0; 4], "nothing is flatter than a plane");
+/// # Ok::<(), gcnd_geom::GeomError>(())
+/// ```
+pub fn mesh_roughness(
+    topology: &Topology,
+    vertices: &[DVec3],
+) -> Result<[f64; ROUGHNESS_QUANTILES.len()]> {
+    check_len("vertices", topology.n_vertices(), vertices.len())?;
+    if topology.n_faces() == 0 {
+        return Err(GeomError::EmptyMesh);
+    }
+    check_vertices(vertices)?;
+    let edge_length = mean_edge_length(vertices, topology.faces());
+    let mut sizes = if edge_length > 0.0 { deviations(topology, vertices) } else { Vec::new() };
+    Ok(ROUGHNESS_QUANTILES.map(|share| {
+        let value = if sizes.is_empty() { 0.0 } else { quantile(&mut sizes, share) / edge_length };
+        value.clamp(RANGE.0, RANGE.1).log10()
+    }))
+}
+
+/// |n_i · (M − 1)² v_i| of every vertex that has faces, in mesh units.
+fn deviations(topology: &Topology, vertices: &[DVec3]) -> Vec<f64> {
+    let mut centroids = vec![DVec3::ZERO; topology.n_faces()];
+    let mut offset_from_mean = |values: &[DVec3]| -> Vec<DVec3> {
+        let mut means = values.to_vec();
+        place_centroids(topology, values, &mut centroids);
+        average(topology, values, &centroids, &mut means);
+        means.par_iter_mut().zip(values).for_each(|(mean, &value)| *mean -= value);
+        means
+    };
+    let once = offset_from_mean(vertices);
+    let twice = offset_from_mean(&once);
+    let geometry = FaceGeometry::compute(vertices, topology.faces());
+    let deviation = |vertex_id: usize| {
+        let faces = topology.vertex_faces().row(vertex_id).iter().map(|&face_id| face_id as usize);
+        let normal: DVec3 = faces.map(|f| geometry.normals[f] * geometry.areas[f]).sum();
+        normal.normalize_or_zero().dot(twice[vertex_id]).abs()
+    };
+    let has_faces = |&vertex_id: &usize| !topology.vertex_faces().row(vertex_id).is_empty();
+    (0..vertices.len()).into_par_iter().filter(has_faces).map(deviation).collect()
+}
+
+/// The value that a share of all values lie below.
+fn quantile(values: &mut [f64], share: f64) -> f64 {
+    let rank = ((values.len() - 1) as f64 * share) as usize;
+    *values.select_nth_unstable_by(rank, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures;
+
+    #[test]
+    fn one_raised_vertex_by_hand() {
+        // Corners of a square of two triangles each: M at the middle of a fan of n triangles is 1/3 of the middle and
+        // 2/3 of the mean of the rim.
+        let (mut vertices, faces) = fixtures::grid(20, 20);
+        let middle = 21 * 10 + 10;
+        vertices[middle].z = 1e-3;
+        let topology = Topology::new(faces, vertices.len()).expect("valid");
+        let sizes = deviations(&topology, &vertices);
+        // (M − 1) z is −2/3 at the middle and 1/9 at each of its six neighbours, which share two of their six triangles
+        // with it: 2 · 1/3 / 6. Then 1/3 · (−2/3) + 2/3 · 1/9 + 2/3 there.
+        let expected = 1e-3 * (-2.0 / 9.0 + 2.0 / 27.0 + 2.0 / 3.0);
+        assert!((sizes[middle] - expected).abs() < 1e-8, "{} {expected}", sizes[middle]);
+        assert!(sizes[0] < 1e-12);
+    }
+
+    #[test]
+    fn it_tells_the_level_of_noise_whatever_the_surface() {
+        let (sphere, sphere_faces) = fixtures::icosphere(5);
+        let (plane, plane_faces) = fixtures::grid(60, 60);
+        let roughness = |vertices: &[DVec3], faces: &[crate::Face], level: f64| {
+            let size = level * mean_edge_length(vertices, faces);
+            let noisy: Vec<DVec3> = vertices
+                .iter()
+                .enumerate()
+                .map(|(i, &v)| {
+                    // Golden-ratio steps cover −1 to 1 evenly and have no pattern that neighbours share.
+                    let step = ((i as f64 * 0.618_033_988_749_894_9).fract() * 7919.0).fract();
+                    v + size * (2.0 * step - 1.0) * if v.length() > 0.9 && v.length() < 1.1 { v } else { DVec3::Z }
+                })
+                .collect();
+            let topology = Topology::new(faces.to_vec(), noisy.len()).expect("valid");
+            mesh_roughness(&topology, &noisy).expect("valid")
+        };
+        for level in [0.1, 0.2] {
+            let on_sphere = roughness(&sphere, &sphere_faces, level);
+            let on_plane = roughness(&plane, &plane_faces, level);
+            for (a, b) in on_sphere.iter().zip(&on_plane) {
+                assert!((a - b).abs() < 0.1, "{on_sphere:?} {on_plane:?}");
+            }
+            let doubled = roughness(&plane, &plane_faces, 2.0 * level);
+            for (a, b) in on_plane.iter().zip(&doubled) {
+                assert!((b - a - 2f64.log10()).abs() < 0.05, "{on_plane:?} {doubled:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn it_does_not_depend_on_position_scale_or_loose_vertices() {
+        let (mut vertices, faces) = fixtures::icosphere(3);
+        vertices.iter_mut().enumerate().for_each(|(i, v)| *v *= 1.0 + 0.01 * ((i * i) % 17) as f64);
+        let of = |vertices: &[DVec3]| {
+            mesh_roughness(&Topology::new(faces.clone(), vertices.len()).expect("valid"), vertices)
+        };
+        let base = of(&vertices).expect("valid");
+        assert!(base[0] > -3.5 && base[0] < base[1] && base[2] < base[3], "{base:?}");
+        let mut moved: Vec<DVec3> = vertices.iter().map(|&v| 250.0 * DVec3::new(v.z, v.x, v.y) + DVec3::splat(30.0)).collect();
+        moved.push(DVec3::splat(1e6));
+        let moved = of(&moved).expect("valid");
+        for (a, b) in base.iter().zip(&moved) {
+            assert!((a - b).abs() < 1e-9, "{base:?} {moved:?}");
+        }
+    }
+
+    #[test]
+    fn what_has_no_size_is_smooth_and_bad_input_is_named() {
+        let point = vec![DVec3::ONE; 3];
+        let topology = Topology::new(vec![[0, 1, 2]], 3).expect("valid");
+        assert_eq!(mesh_roughness(&topology, &point).expect("valid"), [-4.0; 4]);
+        let broken = [DVec3::ONE, DVec3::NAN, DVec3::ZERO];
+        assert_eq!(
+            mesh_roughness(&topology, &broken),
+            Err(GeomError::NonFiniteVertex { vertex_id: 1 })
+        );
+        let empty = Topology::new(vec![], 3).expect("valid");
+        assert_eq!(mesh_roughness(&empty, &point), Err(GeomError::EmptyMesh));
+    }
+}
