@@ -48,10 +48,11 @@ LIBRARY = Library(
     "open3d",
     {
         "taubin": Adapted(taubin, _TAUBIN),
-        "taubin-tuned": Adapted(taubin, {**_TAUBIN, "number_of_iterations": 30}),
+        "taubin-tuned": Adapted(taubin, {**_TAUBIN, "number_of_iterations": 20}),
         "laplacian": Adapted(laplacian, _LAPLACIAN),
         "laplacian-tuned": Adapted(laplacian, {**_LAPLACIAN, "number_of_iterations": 5}),
         "simple": Adapted(simple, {"number_of_iterations": 1}),
+        "simple-tuned": Adapted(simple, {"number_of_iterations": 2}),
     },
     hint="on Debian and Ubuntu it needs the package libusb-1.0-0",
 )

@@ -45,6 +45,7 @@ def laplacian(**settings: Setting) -> Denoiser:
 
 
 _TWO_STEP = {"stepsmoothnum": 3, "normalthr": 60.0, "stepnormalnum": 20, "stepfitnum": 20}
+_TWO_STEP_TUNED = {"stepsmoothnum": 1, "normalthr": 90.0, "stepnormalnum": 5, "stepfitnum": 5}
 _TAUBIN = {"lambda_": 0.5, "mu": -0.53, "stepsmoothnum": 10}
 
 LIBRARY = Library(
@@ -52,7 +53,7 @@ LIBRARY = Library(
     "pymeshlab",
     {
         "two-step": Adapted(two_step, _TWO_STEP),
-        "two-step-tuned": Adapted(two_step, {**_TWO_STEP, "stepsmoothnum": 1, "stepnormalnum": 10}),
+        "two-step-tuned": Adapted(two_step, _TWO_STEP_TUNED),
         "taubin": Adapted(taubin, _TAUBIN),
         "taubin-tuned": Adapted(taubin, {**_TAUBIN, "stepsmoothnum": 30}),
         "hc-laplacian": Adapted(hc_laplacian, {}),

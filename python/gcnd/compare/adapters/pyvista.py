@@ -53,8 +53,8 @@ LIBRARY = Library(
     "pyvista",
     {
         "taubin": Adapted(taubin, _TAUBIN),
-        "taubin-tuned": Adapted(taubin, {**_TAUBIN, "normalize_coordinates": True}),
+        "taubin-tuned": Adapted(taubin, {**_TAUBIN, "pass_band": 0.05}),
         "laplacian": Adapted(laplacian, _LAPLACIAN),
-        "laplacian-tuned": Adapted(laplacian, {**_LAPLACIAN, "n_iter": 100, "relaxation_factor": 0.05}),
+        "laplacian-tuned": Adapted(laplacian, {**_LAPLACIAN, "n_iter": 100, "relaxation_factor": 0.03}),
     },
 )

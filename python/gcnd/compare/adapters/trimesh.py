@@ -57,5 +57,6 @@ LIBRARY = Library(
         "taubin": Adapted(taubin, _TAUBIN),
         "taubin-tuned": Adapted(taubin, {**_TAUBIN, "iterations": 60}),
         "laplacian": Adapted(laplacian, _LAPLACIAN),
+        "laplacian-tuned": Adapted(laplacian, {**_LAPLACIAN, "iterations": 5}),
     },
 )
