@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -98,6 +100,21 @@ def test_what_goes_wrong_is_told_in_a_line(function: Any, error: str) -> None:
 
 def test_a_method_that_takes_too_long_is_ended() -> None:
     assert outcome(method(given.endless), timeout=5).error == "took longer than 5 s"
+
+
+def test_a_child_ends_with_its_parent(tmp_path: Path) -> None:
+    job = {"entry": "compare_cases:endless", "settings": {}, "threads": 1}
+    (tmp_path / "job.json").write_text(json.dumps(job), encoding="utf-8")
+    mesh = ball()
+    np.savez(tmp_path / "input.npz", vertices=mesh.noisy, faces=mesh.faces)
+    command = [sys.executable, "-m", "gcnd.compare.worker", str(tmp_path)]
+    child = subprocess.Popen(command, stdin=subprocess.PIPE)
+    with pytest.raises(subprocess.TimeoutExpired):
+        child.wait(3)
+    assert child.stdin is not None
+    child.stdin.close()
+    assert child.wait(30) == 1
+    assert not (tmp_path / "report.json").exists()
 
 
 def test_rows_of_a_comparison(out: Path) -> None:

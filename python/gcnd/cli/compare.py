@@ -97,12 +97,12 @@ def run(
 
 
 def _words(text: str) -> tuple[str, ...]:
-    return tuple(word.strip() for word in text.split(",") if word.strip())
+    return tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
 
 
 def _numbers(text: str) -> tuple[float, ...]:
     try:
-        return tuple(float(word) for word in _words(text))
+        return tuple(dict.fromkeys(float(word) for word in _words(text)))
     except ValueError:
         raise ConfigError(f"levels is {text!r}, allowed: numbers with commas between") from None
 

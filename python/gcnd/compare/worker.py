@@ -103,7 +103,8 @@ def _forget_peak() -> None:
 
 def _end_with_parent() -> None:
     """Ends this process when its parent is gone, which closes the pipe."""
-    sys.stdin.buffer.read()
+    # Not sys.stdin, whose lock the interpreter wants at its end.
+    os.read(0, 1)
     os._exit(1)
 
 
