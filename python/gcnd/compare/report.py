@@ -27,6 +27,7 @@ Pictured = Literal["one", "all", "none"]
 
 _STYLE = """
 body { max-width: 88rem } table { font-size: .9rem; margin: .5rem 0 } th { vertical-align: bottom }
+.means td { white-space: nowrap }
 td:first-child, th:first-child, .failures td, .settings td { text-align: left } .settings td { word-break: break-word }
 tr.best td { font-weight: 600; background: #f6efe6 } .failed { color: #b3261e } summary { cursor: pointer }
 .shots { display: grid; grid-template-columns: repeat(auto-fill, minmax(205px, 1fr)); gap: 1rem .6rem }
