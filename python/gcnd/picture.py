@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -69,7 +70,7 @@ def save_panels(
         from matplotlib.figure import Figure
     except ImportError as error:
         raise GcndError("pictures need matplotlib", hint="pip install 'gcnd[picture]'") from error
-    view = _view_matrix(azimuth, elevation)
+    view = view_matrix(azimuth, elevation)
     window = _window(rows[0][0], view, zoom)
     width = max(len(row) for row in rows)
     figure = Figure(figsize=(4.2 * width, 4.4 * len(rows)), dpi=130, layout="constrained")
@@ -87,8 +88,48 @@ def save_panels(
     figure.savefig(path, facecolor="white")
 
 
-def _view_matrix(azimuth: float, elevation: float) -> NDArray[np.float64]:
-    """Rows: right, up, towards the viewer, in the mesh's frame."""
+def render(
+    panel: Panel,
+    view: NDArray[np.float64],
+    window: tuple[float, float, float],
+    *,
+    max_value: float = 30.0,
+    pixels: int = 480,
+    kind: str = "webp",
+) -> bytes:
+    """Draws one panel, without its title, into a square picture.
+
+    Args:
+        panel: What to draw.
+        view: Rows right, up, towards the viewer; see `view_matrix`.
+        window: Centre x, centre y and half width of what is shown, view frame.
+        max_value: Value at the end of the colour scale.
+        pixels: Width and height.
+        kind: "webp" or "png".
+
+    Returns:
+        The file's bytes.
+
+    Raises:
+        GcndError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib import colors
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise GcndError("pictures need matplotlib", hint="pip install 'gcnd[picture]'") from error
+    figure = Figure(figsize=(pixels / 100, pixels / 100), dpi=100)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    _draw(axes, replace(panel, title=""), view, window, colors.Normalize(0, max_value))
+    data = BytesIO()
+    options = {"quality": 88} if kind == "webp" else None
+    figure.savefig(data, format=kind, facecolor="white", pil_kwargs=options)
+    return data.getvalue()
+
+
+def view_matrix(azimuth: float, elevation: float) -> NDArray[np.float64]:
+    """Returns rows right, up, towards the viewer, in the mesh's frame, for angles in degrees."""
     a, e = np.radians(azimuth), np.radians(elevation)
     back = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
     right = np.array([-np.sin(a), np.cos(a), 0.0])
@@ -125,11 +166,16 @@ def _draw(
     else:
         base = colormaps["viridis"](norm(np.nan_to_num(panel.values[order])))[:, :3]  # type: ignore[operator]
     light = LIGHT / np.linalg.norm(LIGHT)
-    shade = 0.35 + 0.65 * np.clip((normals[order] @ view.T) @ light, 0, 1)
+    # Colours stand for values, so light must not change them much.
+    ambient = 0.35 if panel.values is None else 0.6
+    shade = ambient + (1 - ambient) * np.clip((normals[order] @ view.T) @ light, 0, 1)
     triangles = (panel.vertices @ view[:2].T)[panel.faces[order]]
     fill = np.clip(base * shade[:, None], 0, 1)
-    axes.add_collection(PolyCollection(list(triangles), facecolors=fill, edgecolors=fill, linewidths=0.5))
     x, y, half = window
+    low, high = triangles.min(axis=1) - (x, y), triangles.max(axis=1) - (x, y)
+    inside = (high > -half).all(axis=1) & (low < half).all(axis=1)
+    triangles, fill = triangles[inside], fill[inside]
+    axes.add_collection(PolyCollection(triangles, facecolors=fill, edgecolors=fill, linewidths=0.5))
     axes.set_xlim(x - half, x + half)
     axes.set_ylim(y - half, y + half)
     axes.set_aspect("equal")

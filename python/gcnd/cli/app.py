@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from gcnd.cli import denoise, evaluate, info, models, noise, train, train_report
+from gcnd.cli import compare, denoise, evaluate, info, models, noise, train, train_report
 from gcnd.errors import GcndError
 
 __all__ = ["app", "main"]
@@ -24,6 +24,7 @@ app = typer.Typer(
 # A new command is one new module and one line here.
 app.command("denoise")(denoise.run)
 app.command("noise")(noise.run)
+app.command("compare")(compare.run)
 app.command("evaluate")(evaluate.run)
 app.command("info")(info.run)
 app.command("models")(models.run)

@@ -18,6 +18,8 @@ Split = Literal["train", "test"]
 
 _SUFFIX = re.compile(r"(.+)_[^_]+")
 
+_SAME_FACES = "both need the same faces in the same order"
+
 
 @dataclass(frozen=True)
 class PairFiles:
@@ -91,14 +93,14 @@ def load_pair(pair: PairFiles) -> tuple[FloatArray, FloatArray, FaceArray]:
         ("faces", len(noisy.faces), len(clean.faces)),
     ):
         if a != b:
-            raise MeshError(f"{pair.noisy} has {a} {what}, its truth {pair.clean} has {b}")
+            raise MeshError(f"{pair.noisy} has {a} {what}, its truth {pair.clean} has {b}", hint=_SAME_FACES)
     differs = np.any(noisy.faces != clean.faces, axis=1)
     if differs.any():
         face_id = int(np.argmax(differs))
         raise MeshError(
             f"{pair.noisy} and its truth {pair.clean} differ in face {face_id}: "
             f"{noisy.faces[face_id].tolist()} and {clean.faces[face_id].tolist()}",
-            hint="both need the same faces in the same order",
+            hint=_SAME_FACES,
         )
     representatives, welded = _geom.weld(noisy.vertices)
     return noisy.vertices[representatives], clean.vertices[representatives], welded[noisy.faces]

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gcnd.data.folders import find_meshes
+from gcnd.data.generated import load_generated
 from gcnd.data.pairs import PairFiles, list_pairs, load_pair
-from gcnd.errors import ConfigError, GcndError
-from gcnd.mesh_io import SUPPORTED, load, to_arrays
+from gcnd.mesh_io import load, to_arrays
 from gcnd.train.samples import CleanShape, FreshNoise, NoiseDraw, NoisyMesh, VertexSource, noisy_vertices
 
 if TYPE_CHECKING:
@@ -72,10 +73,7 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
     """
     shapes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder)
     if mesh_folder is not None:
-        paths = [path for path in sorted(mesh_folder.rglob("*")) if path.suffix.lower() in SUPPORTED]
-        if not paths:
-            raise ConfigError(f"no mesh in {mesh_folder}", hint=f"supported: {', '.join(SUPPORTED)}")
-        shapes += [shape for path in paths for shape in given_shapes(path)]
+        shapes += [shape for path in find_meshes(mesh_folder) for shape in given_shapes(path)]
     held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
     validation = [NoisyMesh.untouched(s, noisy_vertices(s, VALIDATION_NOISE)) for s in held_out]
     return Corpus(shapes, FreshNoise(shapes), validation)
@@ -87,14 +85,8 @@ def generated_shapes(n: int, seed: int, folder: Path) -> list[CleanShape]:
     Raises:
         GcndError: What generates shapes is not installed.
     """
-    # Only who generates shapes needs what generates them.
-    try:
-        from gcnd.data.shape_cache import load_shapes
-    except ImportError as error:
-        raise GcndError(
-            f"procedural shapes need {error.name}", hint="pip install 'gcnd[train]', or give --pairs"
-        ) from error
-    return [CleanShape(s.name, s.kind, s.vertices, s.faces) for s in load_shapes(n, seed, folder)]
+    shapes = load_generated(n, seed, folder, hint="pip install 'gcnd[train]', or give --pairs")
+    return [CleanShape(s.name, s.kind, s.vertices, s.faces) for s in shapes]
 
 
 def given_shapes(path: Path) -> list[CleanShape]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 import tempfile
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +13,8 @@ import numpy as np
 from gcnd import _geom
 from gcnd.errors import ConfigError, GcndError
 from gcnd.formats.atomic import write_atomic
+from gcnd.page import data_uri, html_page, inline_svg
 from gcnd.picture import Panel, save_panels
-
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
-table { border-collapse: collapse } td, th { padding: .2rem .8rem; text-align: right; border-bottom: 1px solid #ddd }
-img, svg { max-width: 100%; height: auto } h2 { margin-top: 2.5rem }
-"""
 
 
 def write_report(run: Path, out: Path) -> None:
@@ -48,10 +41,7 @@ def write_report(run: Path, out: Path) -> None:
     examples = sorted(run.glob("example-*.npz"))
     if examples:
         parts += ["<h2>Before and after</h2>", *(_example(path) for path in examples)]
-    page = (
-        f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(run.resolve().name)}</title>"
-        f"<style>{_STYLE}</style><body>{''.join(parts)}</body></html>\n"
-    )
+    page = html_page(run.resolve().name, "".join(parts))
     write_atomic(out, page.encode())
 
 
@@ -114,10 +104,7 @@ def _curves(lines: list[dict[str, Any]]) -> str:
         axes.set_xlabel("step")
         axes.grid(alpha=0.3)
         axes.legend()
-    text = StringIO()
-    figure.savefig(text, format="svg")
-    svg = text.getvalue()
-    return svg[svg.index("<svg") :]
+    return inline_svg(figure)
 
 
 def _example(path: Path) -> str:
@@ -133,8 +120,8 @@ def _example(path: Path) -> str:
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "panels.png"
         save_panels(picture, [panels])
-        data = base64.b64encode(picture.read_bytes()).decode()
-    return f'<h3>{html.escape(name)}</h3><img alt="noisy, denoised and true mesh" src="data:image/png;base64,{data}">'
+        source = data_uri(picture.read_bytes(), "png")
+    return f'<h3>{html.escape(name)}</h3><img alt="noisy, denoised and true mesh" src="{source}">'
 
 
 _EXAMPLE_KEYS = {"noisy": "noisy", "denoised": "denoised", "truth": "clean"}

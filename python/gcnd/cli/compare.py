@@ -1,0 +1,146 @@
+"""`gcnd compare`: methods side by side on identical noisy meshes."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gcnd.cli.options import JsonFlag, Seed, print_json
+from gcnd.cli.progress import show_progress
+from gcnd.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from gcnd.compare.summary import Line
+
+__all__ = ["Pictures", "SplitName", "run"]
+
+
+class Pictures(str, Enum):
+    """Which noisy meshes get pictures."""
+
+    ONE = "one"
+    ALL = "all"
+    NONE = "none"
+
+
+class SplitName(str, Enum):
+    """Half of a dataset of pairs."""
+
+    TEST = "test"
+    TRAIN = "train"
+
+
+def run(
+    dataset: Annotated[
+        str, typer.Argument(metavar="DATASET", help="Folder of pairs, folder of clean meshes, or builtin.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for tables, rows and the page.", show_default=False)],
+    methods: Annotated[
+        list[str] | None,
+        typer.Option(help="Names, commas between; docs/compare.md.", show_default="presets,classical"),
+    ] = None,
+    noise: Annotated[str, typer.Option(help="Kinds of noise for clean meshes, commas between.")] = "gaussian",
+    levels: Annotated[str, typer.Option(help="Of the noise, in mean edge lengths.")] = "0.1,0.2,0.3",
+    fraction: Annotated[float, typer.Option(help="Of the vertices that impulsive noise moves.")] = 0.3,
+    seed: Seed = 0,
+    shapes: Annotated[int, typer.Option(min=1, help="Generated shapes of builtin.")] = 12,
+    split: Annotated[SplitName, typer.Option(help="Half of a dataset of pairs.")] = SplitName.TEST,
+    threads: Annotated[
+        int | None, typer.Option(help="Processors for each method; all by default.", show_default=False)
+    ] = None,
+    timeout: Annotated[float, typer.Option(help="Seconds after which a method is ended.")] = 600.0,
+    samples: Annotated[int, typer.Option(help="Points sampled on each surface for E_v.")] = 200_000,
+    pictures: Annotated[
+        Pictures, typer.Option(help="Pictures of one noisy mesh of each mesh, of all, or none.")
+    ] = Pictures.ONE,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run failed rows again.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Run METHODS on the same noisy meshes and write tables, rows and a page; a stopped run goes on."""
+    from gcnd.compare.cases import NoisePlan, collect_cases
+    from gcnd.compare.finish import finish
+    from gcnd.compare.methods import available, parse_methods
+    from gcnd.compare.report import check_report_libraries
+    from gcnd.compare.run import Conditions, available_threads, compare, make_output_folder
+
+    wanted = parse_methods(methods or ["presets,classical"])
+    plan = NoisePlan(_words(noise), _numbers(levels), fraction, seed)
+    conditions = Conditions(threads or available_threads(), timeout, samples, retry_failed)
+    check_report_libraries()
+    make_output_folder(out)
+    cases = collect_cases(dataset, plan, n_shapes=shapes, shape_folder=out / "shapes", split=split.value)
+    usable, skipped = available(wanted)
+    for line in skipped:
+        print(line, file=sys.stderr)
+    if not usable:
+        raise ConfigError("no method is left to compare", hint="; ".join(skipped))
+    options = {"dataset": dataset, **asdict(conditions), **asdict(plan)}
+    with show_progress(quiet=quiet) as progress:
+        rows = compare(cases, usable, out, conditions, progress=progress)
+        lines = finish(
+            out, options, cases, usable, rows, skipped=skipped, pictures=pictures.value, progress=progress
+        )
+    if as_json:
+        print_json([asdict(line) for line in lines])
+    else:
+        _print_means(lines)
+    if not quiet:
+        print(f"wrote {out / 'report.html'}, results.csv and results.json", file=sys.stderr)
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(word.strip() for word in text.split(",") if word.strip()))
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(dict.fromkeys(float(word) for word in _words(text)))
+    except ValueError:
+        raise ConfigError(f"levels is {text!r}, allowed: numbers with commas between") from None
+
+
+def _print_means(lines: Sequence[Line]) -> None:
+    """Prints a table for each noise: means over all meshes, and E_a at each level."""
+    for noise in dict.fromkeys(line.noise for line in lines):
+        own = [line for line in lines if line.noise == noise and line.kind == "all"]
+        levels = [level for level in dict.fromkeys(line.level for line in own) if level != "all"]
+        by_level = {(line.method, line.level): line.e_a for line in own}
+        head = [
+            "method",
+            "runs",
+            "E_a",
+            *(f"at {level}" for level in levels),
+            "E_v",
+            "displaced",
+            "flipped %",
+        ]
+        table = [[*head, "volume %", "s/Mfaces", "MiB"]]
+        for line in own:
+            if line.level == "all":
+                runs = f"{line.runs - line.failed}/{line.runs}" if line.failed else str(line.runs)
+                errors = [_number(by_level[line.method, level], 2) for level in levels]
+                rest = [
+                    _number(line.displacement_mean, 3),
+                    _number(line.flipped, 3),
+                    _number(line.volume_change, 3),
+                    _number(line.seconds_per_million, 1),
+                    _number(line.peak_mib, 0),
+                ]
+                table.append([line.method, runs, _number(line.e_a, 2), *errors, _number(line.e_v, 2), *rest])
+        print(f"\nnoise: {noise}, means over all meshes")
+        widths = [max(len(row[column]) for row in table) for column in range(len(table[0]))]
+        for row in table:
+            cells = [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
+            print("  ".join([row[0].ljust(widths[0]), *cells]))
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,123 @@
+"""`gcnd compare` from the command line: a whole run, its end by Ctrl-C, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from compare_cases import ball, write_meshes
+from gcnd.cli import main
+from gcnd.mesh_io import save
+
+QUICK = ["--levels", "0.2", "--samples", "500", "--threads", "1", "--pictures", "none"]
+
+
+def test_a_whole_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, out = write_meshes(tmp_path / "data", "smooth/ball.ply"), tmp_path / "out"
+    arguments = ["compare", str(data), "--out", str(out), "--methods", "taubin,laplacian", *QUICK]
+    assert main(arguments) == 0
+    printed = capsys.readouterr()
+    lines = printed.out.splitlines()
+    assert lines[1] == "noise: gaussian, means over all meshes"
+    assert lines[2].split()[:5] == ["method", "runs", "E_a", "at", "0.2"]
+    names = [line.split()[0] for line in lines[3:]]
+    assert names[0] == "noisy"
+    assert {*names} == {"noisy", "best", "taubin", "laplacian"}
+    table = {line.split()[0]: line.split() for line in lines[3:]}
+    summary = {
+        line["method"]: line
+        for line in json.loads((out / "results.json").read_text(encoding="utf-8"))["summary"]
+        if (line["kind"], line["level"]) == ("all", "all")
+    }
+    assert float(table["taubin"][2]) == pytest.approx(summary["taubin"]["e_a"], abs=0.006)
+    assert summary["taubin"]["e_a"] < summary["noisy"]["e_a"]
+    assert printed.err.splitlines()[0] == "smooth/ball, gaussian 0.2: taubin (0% done)"
+    assert printed.err.splitlines()[-1] == f"wrote {out / 'report.html'}, results.csv and results.json"
+    rows = (out / "rows.jsonl").read_bytes()
+    assert main([*arguments, "--json", "--quiet"]) == 0
+    printed = capsys.readouterr()
+    assert {line["method"] for line in json.loads(printed.out)} >= {"noisy", "taubin"}
+    assert printed.err == ""
+    assert (out / "rows.jsonl").read_bytes() == rows
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send")
+def test_ctrl_c_keeps_rows_and_ends_with_130(tmp_path: Path) -> None:
+    data, out = write_meshes(tmp_path / "data", "a.ply"), tmp_path / "out"
+    methods = ",".join(f"taubin[iterations={n}]" for n in range(1, 60))
+    command = [
+        sys.executable,
+        "-m",
+        "gcnd.cli",
+        "compare",
+        str(data),
+        "--out",
+        str(out),
+        "--methods",
+        methods,
+    ]
+    process = subprocess.Popen([*command, *QUICK], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    rows = out / "rows.jsonl"
+    deadline = time.monotonic() + 100
+    while not (rows.exists() and rows.read_bytes().count(b"\n") >= 3) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    kept = [json.loads(line)["method"] for line in rows.read_text(encoding="utf-8").splitlines()]
+    assert kept[:3] == ["noisy", "taubin[iterations=1]", "taubin[iterations=2]"]
+    assert len(kept) < 60
+    assert not (out / "report.html").exists()
+
+
+def test_bad_input_is_told_without_a_traceback(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, out = write_meshes(tmp_path / "data", "a.ply"), tmp_path / "out"
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").write_text("")
+    mesh = ball()
+    for part, faces in (("noisy", mesh.faces), ("original", np.roll(mesh.faces, 1, axis=0))):
+        (tmp_path / "pairs" / part).mkdir(parents=True)
+        save((mesh.truth, faces), tmp_path / "pairs" / part / "a.ply")
+    good = [str(data), "--out", str(out)]
+    for arguments, message, hint in (
+        ([*good, "--methods", "l1"], "there is no method 'l1'", "bilateral-normal"),
+        ([*good, "--levels", "low"], "levels is 'low', allowed: numbers", ""),
+        ([*good, "--noise", "salt"], "unknown noise 'salt'", "hint: kinds are gaussian"),
+        ([str(data), "--out", str(tmp_path / "file")], "is a file, not a folder", "hint: give --out"),
+        ([str(tmp_path / "empty"), "--out", str(out)], "no mesh in", "hint: supported: .ply"),
+        ([str(tmp_path / "nowhere"), "--out", str(out)], "no such folder", "or builtin"),
+        ([str(tmp_path / "pairs"), "--out", str(out)], "differ in face 0", "hint: both need the same faces"),
+    ):
+        assert main(["compare", *QUICK, *arguments]) == 1
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert printed.err.startswith("error: ")
+        assert message in printed.err
+        assert hint in printed.err
+        assert "Traceback" not in printed.err
+
+
+def test_missing_libraries_are_skipped_with_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, out = write_meshes(tmp_path / "data", "a.ply"), tmp_path / "out"
+    monkeypatch.setattr(
+        "gcnd.compare.methods._missing", lambda library: "not here" if library.name == "meshlib" else None
+    )
+    arguments = ["compare", str(data), "--out", str(out), *QUICK, "--quiet", "--methods"]
+    assert main([*arguments, "meshlib:denoise,taubin"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == "skipped meshlib:denoise: not here\n"
+    assert "taubin" in printed.out
+    assert "skipped meshlib:denoise: not here" in (out / "report.html").read_text(encoding="utf-8")
+    assert main([*arguments, "meshlib"]) == 1
+    assert "error: no method is left to compare" in capsys.readouterr().err
