@@ -114,7 +114,7 @@ def classify_faces(
     """Classes (F,): 0 flat, 1 edge, 2 corner, 3 transitional (paper Sec. 5.2)."""
 
 def mesh_roughness(topology: Topology, vertices: Points) -> NDArray[np.float64]:
-    """How rough the mesh is (4,): log₁₀ of quantiles, see the core's `mesh_roughness`."""
+    """How rough the mesh is (4,), quantiles in mesh units; see the core's `mesh_roughness`."""
 
 def refine_normals(
     topology: Topology,

@@ -1,6 +1,7 @@
 //! The graph of a patch (paper Sec. 4.3): node features and static neighbours.
 
 use super::id_slots::{IdSlots, NO_SLOT};
+use super::roughness::roughness_channel;
 use super::scale_space::SCALES;
 use super::select::Candidate;
 use super::voting::LocalFace;
@@ -22,8 +23,10 @@ pub(crate) struct PatchView<'a> {
     pub(crate) centroids: &'a [DVec3],
     /// Normals at several scales, empty where nodes do not carry them.
     pub(crate) scale_space: &'a [[DVec3; SCALES.len()]],
-    /// Of the whole mesh, empty where nodes do not carry it.
+    /// Of the whole mesh in mesh units, empty where nodes do not carry it.
     pub(crate) roughness: &'a [f64],
+    /// ā in mesh units.
+    pub(crate) mean_area: f64,
     /// The faces of the patch, the centre first, and the same faces in the units of the patch.
     pub(crate) candidates: &'a [Candidate],
     pub(crate) locals: &'a [LocalFace],
@@ -83,7 +86,7 @@ fn write_features(view: &PatchView<'_>, face_id: u32, local: &LocalFace, feature
     let n_own = features.len() - view.roughness.len();
     let (rest, of_mesh) = features[8..].split_at_mut(n_own - 8);
     for (channel, &value) in of_mesh.iter_mut().zip(view.roughness) {
-        *channel = value as f32;
+        *channel = roughness_channel(value, view.mean_area);
     }
     let n_scaled = if view.scale_space.is_empty() { 0 } else { 3 * SCALES.len() };
     let (offsets, normals) = rest.split_at_mut(rest.len() - n_scaled);

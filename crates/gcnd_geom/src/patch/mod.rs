@@ -87,7 +87,7 @@ pub struct PatchBuffers<'a> {
     /// 6 area a_j/ā, ā the mean over the centre and its 2-ring; 7 degree, edge neighbours/3; and with vertex
     /// offsets 8–16, (v − c_j)/r of the three vertices in the face's order, first the one nearest to c_i; with a
     /// scale space 9 more, the face's normals once the mesh is smoothed by 1, 4 and 16 iterations; with a roughness 4
-    /// more, the same on every node.
+    /// more, the same on every node of a patch: its log₁₀ in units of √ā, within −4 to 1.
     pub features: &'a mut [f32],
     /// (P, N, 3) nodes of the patch across the edges of each node's face; the node itself where there is none.
     pub neighbors: &'a mut [i32],
@@ -227,6 +227,7 @@ impl<'a> PatchExtractor<'a> {
             centroids: &self.geometry.centroids,
             scale_space: &self.scale_space,
             roughness: self.params.roughness.as_ref().map_or(&[], |roughness| roughness),
+            mean_area: scale.mean_area,
             candidates: &select.candidates,
             locals,
             picks,

@@ -49,7 +49,8 @@ pub struct PatchParams {
     pub vertex_offsets: bool,
     /// Whether nodes carry the normals of the mesh at three scales (9 more channels).
     pub scale_space: bool,
-    /// The roughness of the whole mesh that every node carries (4 more channels); see [`super::mesh_roughness`].
+    /// The roughness of the whole mesh in mesh units, of which every node carries the logarithm (4 more channels);
+    /// see [`super::mesh_roughness`].
     pub roughness: Option<[f64; ROUGHNESS_QUANTILES.len()]>,
 }
 
@@ -89,8 +90,8 @@ impl PatchParams {
         check((16..=512).contains(&n_nodes), "n_nodes", n_nodes.to_string(), "16 to 512")?;
         let sigma_ok = sigma_vote.is_finite() && sigma_vote > 0.0;
         check(sigma_ok, "sigma_vote", sigma_vote.to_string(), "a finite number above 0")?;
-        let roughness_ok = roughness.iter().flatten().all(|value| value.is_finite());
-        check(roughness_ok, "roughness", format!("{roughness:?}"), "finite numbers")
+        let roughness_ok = roughness.iter().flatten().all(|value| value.is_finite() && *value >= 0.0);
+        check(roughness_ok, "roughness", format!("{roughness:?}"), "finite numbers from 0 on")
     }
 
     /// Features of a node: 8, 9 each for vertex offsets and the scale space, and 4 for the roughness.

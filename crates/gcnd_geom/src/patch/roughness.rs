@@ -2,7 +2,7 @@
 
 use super::scale_space::{average, place_centroids};
 use crate::error::{GeomError, Result, check_len};
-use crate::face_geometry::{FaceGeometry, mean_edge_length};
+use crate::face_geometry::FaceGeometry;
 use crate::mesh::check_vertices;
 use crate::topology::Topology;
 use glam::DVec3;
@@ -11,15 +11,15 @@ use rayon::prelude::*;
 /// Shares of the vertices that are smoother than what the channels say.
 pub const ROUGHNESS_QUANTILES: [f64; 4] = [0.1, 0.25, 0.5, 0.9];
 
-/// Smallest and largest roughness that is told apart, in mean edge lengths.
+/// Smallest and largest roughness that is told apart, in √ā.
 const RANGE: (f64, f64) = (1e-4, 10.0);
 
-/// log₁₀ of quantiles of |n_i · (M − 1)² v_i| / ē over the vertices, for the shares in [`ROUGHNESS_QUANTILES`].
+/// Quantiles of |n_i · (M − 1)² v_i| over the vertices in mesh units, for the shares in [`ROUGHNESS_QUANTILES`].
 ///
-/// M is the mean over a vertex's faces of their centroids, n_i the mean normal of its faces weighted by area, ē the mean
-/// edge length. (M − 1)² takes away what is linear, and most of what is curved, and leaves noise: with Gaussian noise of
-/// a given level along the normals the lower quantiles are nearly the same on any surface. Values are kept within −4 to
-/// 1; a mesh that has no vertex with faces is as smooth as can be.
+/// M is the mean over a vertex's faces of their centroids, n_i the mean normal of its faces weighted by area. (M − 1)²
+/// takes away what is linear, and most of what is curved, and leaves noise: with Gaussian noise of a given size along
+/// the normals the lower quantiles are nearly the same on any surface. A mesh that has no vertex with faces is as smooth
+/// as can be.
 ///
 /// # Errors
 /// [`GeomError::EmptyMesh`], [`GeomError::LengthMismatch`] when `topology` counts other vertices,
@@ -31,7 +31,7 @@ const RANGE: (f64, f64) = (1e-4, 10.0);
 /// use gcnd_geom::{fixtures, patch::mesh_roughness, Topology};
 /// let (vertices, faces) = fixtures::grid(8, 8);
 /// let topology = Topology::new(faces, vertices.len())?;
-/// assert_eq!(mesh_roughness(&topology, &vertices)?, [-4.0; 4], "nothing is flatter than a plane");
+/// assert_eq!(mesh_roughness(&topology, &vertices)?, [0.0; 4], "nothing is flatter than a plane");
 /// # Ok::<(), gcnd_geom::GeomError>(())
 /// ```
 pub fn mesh_roughness(
@@ -43,12 +43,15 @@ pub fn mesh_roughness(
         return Err(GeomError::EmptyMesh);
     }
     check_vertices(vertices)?;
-    let edge_length = mean_edge_length(vertices, topology.faces());
-    let mut sizes = if edge_length > 0.0 { deviations(topology, vertices) } else { Vec::new() };
-    Ok(ROUGHNESS_QUANTILES.map(|share| {
-        let value = if sizes.is_empty() { 0.0 } else { quantile(&mut sizes, share) / edge_length };
-        value.clamp(RANGE.0, RANGE.1).log10()
-    }))
+    let mut sizes = deviations(topology, vertices);
+    Ok(ROUGHNESS_QUANTILES.map(|share| if sizes.is_empty() { 0.0 } else { quantile(&mut sizes, share) }))
+}
+
+/// What the nodes of a patch carry: log₁₀ of a roughness in units of √ā, ā the mean area of the patch's middle; −4 to 1.
+pub(crate) fn roughness_channel(roughness: f64, mean_area: f64) -> f32 {
+    let size = mean_area.sqrt();
+    let relative = if size > 0.0 { roughness / size } else { 0.0 };
+    relative.clamp(RANGE.0, RANGE.1).log10() as f32
 }
 
 /// |n_i · (M − 1)² v_i| of every vertex that has faces, in mesh units.
@@ -82,6 +85,7 @@ fn quantile(values: &mut [f64], share: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::face_geometry::mean_edge_length;
     use crate::fixtures;
 
     #[test]
@@ -122,37 +126,45 @@ mod tests {
             let on_sphere = roughness(&sphere, &sphere_faces, level);
             let on_plane = roughness(&plane, &plane_faces, level);
             for (a, b) in on_sphere.iter().zip(&on_plane) {
-                assert!((a - b).abs() < 0.1, "{on_sphere:?} {on_plane:?}");
+                let (a, b) = (a / mean_edge_length(&sphere, &sphere_faces), b / mean_edge_length(&plane, &plane_faces));
+                assert!((a / b).log10().abs() < 0.1, "{on_sphere:?} {on_plane:?}");
             }
             let doubled = roughness(&plane, &plane_faces, 2.0 * level);
             for (a, b) in on_plane.iter().zip(&doubled) {
-                assert!((b - a - 2f64.log10()).abs() < 0.05, "{on_plane:?} {doubled:?}");
+                assert!((b / a / 2.0).log10().abs() < 0.05, "{on_plane:?} {doubled:?}");
             }
         }
     }
 
     #[test]
-    fn it_does_not_depend_on_position_scale_or_loose_vertices() {
+    fn it_grows_with_the_mesh_and_does_not_depend_on_position_or_loose_vertices() {
         let (mut vertices, faces) = fixtures::icosphere(3);
         vertices.iter_mut().enumerate().for_each(|(i, v)| *v *= 1.0 + 0.01 * ((i * i) % 17) as f64);
         let of = |vertices: &[DVec3]| {
             mesh_roughness(&Topology::new(faces.clone(), vertices.len()).expect("valid"), vertices)
         };
         let base = of(&vertices).expect("valid");
-        assert!(base[0] > -3.5 && base[0] < base[1] && base[2] < base[3], "{base:?}");
+        assert!(base[0] > 1e-4 && base[0] < base[1] && base[2] < base[3], "{base:?}");
         let mut moved: Vec<DVec3> = vertices.iter().map(|&v| 250.0 * DVec3::new(v.z, v.x, v.y) + DVec3::splat(30.0)).collect();
         moved.push(DVec3::splat(1e6));
         let moved = of(&moved).expect("valid");
         for (a, b) in base.iter().zip(&moved) {
-            assert!((a - b).abs() < 1e-9, "{base:?} {moved:?}");
+            assert!((b / a / 250.0 - 1.0).abs() < 1e-9, "{base:?} {moved:?}");
         }
+    }
+
+    #[test]
+    fn channels_are_logarithms_in_units_of_the_triangles() {
+        assert_eq!(roughness_channel(0.3, 9.0), -1.0);
+        assert_eq!([0.0, 1e-9, 1e9].map(|roughness| roughness_channel(roughness, 4.0)), [-4.0, -4.0, 1.0]);
+        assert_eq!(roughness_channel(0.3, 0.0), -4.0, "a patch without area");
     }
 
     #[test]
     fn what_has_no_size_is_smooth_and_bad_input_is_named() {
         let point = vec![DVec3::ONE; 3];
         let topology = Topology::new(vec![[0, 1, 2]], 3).expect("valid");
-        assert_eq!(mesh_roughness(&topology, &point).expect("valid"), [-4.0; 4]);
+        assert_eq!(mesh_roughness(&topology, &point).expect("valid"), [0.0; 4]);
         let broken = [DVec3::ONE, DVec3::NAN, DVec3::ZERO];
         assert_eq!(
             mesh_roughness(&topology, &broken),
