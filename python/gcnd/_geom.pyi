@@ -193,7 +193,7 @@ def tgv(
     *,
     alpha1: float = 1.0,
     alpha0: float = 0.5,
-    beta: float = 2.0,
+    beta: float = 2.5,
     normal_iterations: int = 50,
     vertex_iterations: int = 20,
     fix_boundary: bool = False,

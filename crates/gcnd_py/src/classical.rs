@@ -129,7 +129,7 @@ pub fn fast_effective<'py>(
 }
 
 #[pyfunction]
-#[pyo3(signature = (topology, vertices, *, alpha1=1.0, alpha0=0.5, beta=2.0, normal_iterations=50,
+#[pyo3(signature = (topology, vertices, *, alpha1=1.0, alpha0=0.5, beta=2.5, normal_iterations=50,
                     vertex_iterations=20, fix_boundary=false, progress=None))]
 #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
 pub fn tgv<'py>(

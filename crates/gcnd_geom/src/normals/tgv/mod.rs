@@ -37,7 +37,7 @@ impl Default for TgvParams {
         Self {
             alpha1: 1.0,
             alpha0: 0.5,
-            beta: 2.0,
+            beta: 2.5,
             normal_iterations: 50,
             vertex_iterations: 20,
             fix_boundary: false,
@@ -63,7 +63,7 @@ impl TgvParams {
 /// by an augmented Lagrangian, and [`crate::vertex_update::update_vertices`] follows. (D N)_e is the difference of the
 /// normals of the two faces at edge e; V_e, a vector of each edge, is the part of it that belongs to an even bend; (S V)_e
 /// is the difference of V's gradients in the two faces, unfolded into one plane, so that S V = 0 for normals that change
-/// linearly; w_e = exp(−|(D N)_e|⁴), anew in each iteration.
+/// linearly; w_e = exp(−(|(D N)_e| / 1.5)⁴), anew in each iteration.
 ///
 /// - `topology`, `vertices` (V), in mesh units; they are not changed.
 /// - `params`: see [`TgvParams`]; lengths len and areas a count in mean edge lengths, so the weights have no unit.
@@ -80,8 +80,7 @@ impl TgvParams {
 /// [`crate::GeomError::NonFiniteVertex`], [`crate::GeomError::Diverged`], also when a system cannot be solved, or
 /// [`crate::GeomError::Cancelled`].
 ///
-/// Source: Liu et al. 2022, the model with dynamic weights. `Choice:` S and the defaults, docs/choices.md, "Total
-/// generalised variation".
+/// Source: Liu et al. 2022, with another S. `Choice:` S, w and the defaults, docs/choices.md#total-generalised-variation.
 ///
 /// ```
 /// use gcnd_geom::normals::{TgvParams, tgv};

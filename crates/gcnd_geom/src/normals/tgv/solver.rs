@@ -8,7 +8,9 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 /// Penalties r_p and r_q over α₁ and α₀.
-const PENALTY: f64 = 5.0;
+const PENALTY: f64 = 3.0;
+/// σ_w: jumps far above it cost nothing. A right angle jumps by √2, an inverted face by 2.
+const WEIGHT_SIGMA: f64 = 1.5;
 /// Data terms, over β and the square of the mean edge length, are taken as at least this, for faces without area.
 const LEAST_AREA: f64 = 1e-6;
 
@@ -93,7 +95,7 @@ impl<'a> Solver<'a> {
         let mut energy = 0.0;
         for (e, edge) in operators.edges.iter().enumerate() {
             let jump = operators.jump(edge, &self.normals);
-            let weight = (-jump.length_squared().powi(2)).exp();
+            let weight = crease_weight(jump);
             let [along, across] = operators.slope_jump(e, &self.slopes);
             let bend = (along.length_squared() + across.length_squared()).sqrt();
             energy += edge.length * params.alpha1 * weight * (jump - self.slopes[e]).length();
@@ -153,13 +155,13 @@ impl<'a> Solver<'a> {
         });
     }
 
-    /// P and Q by shrinkage, with P's weight exp(−|D N|⁴), then the multipliers.
+    /// P and Q by shrinkage, then the multipliers.
     fn shrink(&mut self) {
         let Self { operators, normals, slopes, .. } = self;
         self.states.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(e, state)| {
             let jump = operators.jump(&operators.edges[e], normals);
             let first = jump - slopes[e] + state.u_p;
-            let weight = (-jump.length_squared().powi(2)).exp();
+            let weight = crease_weight(jump);
             state.p = first * kept(first.length(), weight / PENALTY);
             state.u_p = first - state.p;
             let [along, across] = operators.slope_jump(e, slopes);
@@ -169,6 +171,11 @@ impl<'a> Solver<'a> {
             state.u_q = [second[0] - state.q[0], second[1] - state.q[1]];
         });
     }
+}
+
+/// w_e = exp(−(|D N| / σ_w)⁴).
+fn crease_weight(jump: DVec3) -> f64 {
+    (-(jump.length_squared() / WEIGHT_SIGMA.powi(2)).powi(2)).exp()
 }
 
 /// The fraction that shrinkage by `by` leaves of a vector of length `size`.
