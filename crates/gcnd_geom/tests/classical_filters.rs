@@ -51,7 +51,7 @@ const FILTERS: [Filter; 10] = [
         name: "tgv",
         run: |t, v, w| tgv(t, v, &TgvParams::default(), w),
         slides: false,
-        limits: (1.0, 1.5),
+        limits: (0.8, 0.8),
     },
     Filter {
         name: "bilateral_mesh",

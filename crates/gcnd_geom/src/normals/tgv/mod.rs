@@ -73,7 +73,7 @@ impl TgvParams {
 /// face and the next. Faces that run against a neighbour count as turned over. A face without area takes what its
 /// neighbours agree on; a face that uses a vertex twice has no terms.
 ///
-/// Memory: about 3 kB a face, growing with the logarithm of their number: the Cholesky factors of two systems.
+/// Memory: about 4 kB a face, growing with the logarithm of their number: the Cholesky factors of two systems.
 ///
 /// # Errors
 /// [`crate::GeomError::InvalidParameter`], [`crate::GeomError::LengthMismatch`],

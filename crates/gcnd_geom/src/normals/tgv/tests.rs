@@ -144,17 +144,19 @@ fn the_adjoints_are_adjoint() {
 }
 
 #[test]
-fn the_energy_falls() {
+fn the_energy_falls_and_then_stays() {
+    // Not in every step: an augmented Lagrangian meets its constraints only in the limit.
     let (operators, geometry) = operators(&noisy_sphere());
     for (alpha1, alpha0, beta) in [(1.0, 0.5, 2.0), (0.3, 3.0, 1.0), (3.0, 0.2, 5.0)] {
         let params = TgvParams { alpha1, alpha0, beta, ..TgvParams::default() };
         let mut solver = Solver::new(&operators, &params, &geometry.normals).expect("positive definite");
         let mut energies = vec![solver.energy()];
-        for n_steps in [10, 40] {
+        for n_steps in [50, 200] {
             assert!((0..n_steps).all(|_| solver.step()));
             energies.push(solver.energy());
         }
-        assert!(energies[0] > energies[1] && energies[1] > energies[2], "{energies:?}");
+        let is_settled = (energies[2] - energies[1]).abs() < 0.02 * energies[1];
+        assert!(energies[1] < 0.95 * energies[0] && is_settled, "{energies:?}");
     }
 }
 
