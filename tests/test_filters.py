@@ -19,6 +19,7 @@ from gcnd.errors import ConfigError, GcndError, MeshError
 from gcnd.filters import apply_filter, list_filters, parse_parameters
 from gcnd.mesh_io import load, save
 from reference import bilateral_normal as reference
+from reference import tgv as tgv_reference
 from reference.meshes import cube, jittered, open_sphere
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
@@ -50,6 +51,17 @@ def test_bilateral_normal_is_the_reference(mesh: Arrays, sigma_r: float) -> None
     moved, _ = apply_filter(mesh, "bilateral-normal", sigma_r=sigma_r)
     assert np.abs(moved - expected).max() < 1e-12
     assert np.abs(moved - vertices).max() > 0.005
+
+
+@pytest.mark.parametrize("weights", [(1.0, 0.5, 2.5), (0.5, 2.0, 1.0)])
+@pytest.mark.parametrize("mesh", [noisy_cube(), (jittered(open_sphere(3)[0], 0.01, 2), open_sphere(3)[1])])
+def test_tgv_is_the_reference(mesh: Arrays, weights: tuple[float, float, float]) -> None:
+    alpha1, alpha0, beta = weights
+    options = {"alpha1": alpha1, "alpha0": alpha0, "beta": beta}
+    expected = tgv_reference.denoise(*mesh, **options, normal_iterations=20, vertex_iterations=5)
+    moved, _ = apply_filter(mesh, "tgv", **options, normal_iterations=20, vertex_iterations=5)
+    assert np.abs(moved - expected).max() < 1e-9
+    assert np.abs(moved - mesh[0]).max() > 0.005
 
 
 @pytest.mark.parametrize("method", NAMES)
@@ -119,7 +131,8 @@ def test_every_parameter_reaches_the_filter() -> None:
     mesh = jittered(open_sphere(2)[0], 0.03, 3), open_sphere(2)[1]
     other: dict[str, Any] = {
         "sigma_r": 0.5, "sigma_s": 0.07, "radius": 3.5, "smoothness": 0.3, "threshold": 0.7, "lambda_": 0.01,
-        "alpha": 0.4, "mu": -0.8, "mu_alpha": 0.9, "beta": 0.02, "beta_max": 10.0, "mu_beta": 2.0,
+        "alpha": 0.4, "mu": -0.8, "mu_alpha": 0.9, "beta": 0.02, "beta_max": 10.0, "alpha1": 3.0,
+        "alpha0": 2.0, "mu_beta": 2.0,
         "fix_boundary": None, "iterations": 3, "normal_iterations": 3, "vertex_iterations": 3,
     }  # fmt: skip
     for info in list_filters():
@@ -141,6 +154,7 @@ def test_every_parameter_reaches_the_filter() -> None:
         ("taubin", {"iterations": -1}, r"iterations is -1, allowed: 0 or more"),
         ("taubin", {"iterations": 2.5}, r"iterations is 2.5, allowed: a whole number"),
         ("taubin", {"fix_boundary": 1}, r"fix_boundary is 1, allowed: true or false"),
+        ("tgv", {"alpha0": -1.0}, r"alpha0 is -1, allowed: a positive finite number"),
         ("hc-laplacian", {"alpha": float("nan")}, r"alpha is NaN, allowed: 0 to 1"),
         ("laplacian", {"lambda_": True}, r"lambda_ is True, allowed: a number"),
     ],

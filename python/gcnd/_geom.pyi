@@ -191,6 +191,18 @@ def fast_effective(
     fix_boundary: bool = True,
     progress: FilterProgress | None = None,
 ) -> Points: ...
+def tgv(
+    topology: Topology,
+    vertices: Points,
+    *,
+    alpha1: float = 1.0,
+    alpha0: float = 0.5,
+    beta: float = 2.5,
+    normal_iterations: int = 50,
+    vertex_iterations: int = 20,
+    fix_boundary: bool = False,
+    progress: FilterProgress | None = None,
+) -> Points: ...
 def bilateral_mesh(
     topology: Topology, vertices: Points, *, iterations: int = 5, progress: FilterProgress | None = None
 ) -> Points: ...

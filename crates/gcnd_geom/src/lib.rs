@@ -21,7 +21,9 @@
 //!
 //! [`remesh`] makes training shapes: isotropic triangles with sharp edges kept.
 
+pub(crate) mod cholesky;
 pub mod csr;
+pub(crate) mod edge_pairs;
 pub mod error;
 pub mod face_geometry;
 #[doc(hidden)]

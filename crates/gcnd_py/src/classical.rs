@@ -4,7 +4,7 @@ use crate::arrays::{self, Points};
 use crate::errors::IntoPython;
 use crate::mesh::PyTopology;
 use gcnd_geom::normals::{
-    BilateralNormalParams, FastEffectiveParams, GuidedNormalParams, ImplicitNormalParams,
+    BilateralNormalParams, FastEffectiveParams, GuidedNormalParams, ImplicitNormalParams, TgvParams,
 };
 use gcnd_geom::smoothing::{BilateralMeshParams, HcLaplacianParams, L0Params, LaplacianParams, TaubinParams};
 use gcnd_geom::{DVec3, Topology, Watch, normals, smoothing};
@@ -126,6 +126,26 @@ pub fn fast_effective<'py>(
 ) -> Positions<'py> {
     let params = FastEffectiveParams { threshold, normal_iterations, vertex_iterations, fix_boundary };
     run(py, normals::fast_effective, topology, &vertices, &params, progress)
+}
+
+#[pyfunction]
+#[pyo3(signature = (topology, vertices, *, alpha1=1.0, alpha0=0.5, beta=2.5, normal_iterations=50,
+                    vertex_iterations=20, fix_boundary=false, progress=None))]
+#[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
+pub fn tgv<'py>(
+    py: Python<'py>,
+    topology: &PyTopology,
+    vertices: Points<'py>,
+    alpha1: f64,
+    alpha0: f64,
+    beta: f64,
+    normal_iterations: usize,
+    vertex_iterations: usize,
+    fix_boundary: bool,
+    progress: Option<Py<PyAny>>,
+) -> Positions<'py> {
+    let params = TgvParams { alpha1, alpha0, beta, normal_iterations, vertex_iterations, fix_boundary };
+    run(py, normals::tgv, topology, &vertices, &params, progress)
 }
 
 #[pyfunction]

@@ -8,6 +8,7 @@
 //! | the same, all normals at once | [`bilateral_normal_implicit`] | Zheng et al. 2011 |
 //! | guided normal filtering | [`guided_normal`] | Zhang et al. 2015 |
 //! | fast and effective denoising | [`fast_effective`] | Sun et al. 2007 |
+//! | total generalised variation | [`tgv`] | Liu et al. 2022 |
 
 pub mod adaptive;
 pub mod bilateral;
@@ -18,6 +19,7 @@ pub mod implicit;
 pub(crate) mod kernel;
 pub mod neighborhood;
 pub mod refine;
+pub mod tgv;
 
 pub use adaptive::{AdaptiveParams, refine_consistent};
 pub use bilateral::{BilateralNormalParams, bilateral_normal};
@@ -26,3 +28,4 @@ pub use guided::{GuidedNormalParams, guided_normal};
 pub use implicit::{ImplicitNormalParams, bilateral_normal_implicit};
 pub use neighborhood::Neighborhood;
 pub use refine::{RefineParams, refine_normals};
+pub use tgv::{TgvParams, tgv};

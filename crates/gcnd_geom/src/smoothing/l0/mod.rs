@@ -3,12 +3,13 @@
 mod operator;
 mod system;
 
+use crate::edge_pairs::find_edge_pairs;
 use crate::error::{Result, check_parameter, check_positive};
 use crate::face_geometry::mean_edge_length;
 use crate::topology::Topology;
 use crate::watch::{Run, Watch};
 use glam::DVec3;
-use operator::{find_stencils, mean_dihedral_angle, measure_edges};
+use operator::{mean_dihedral_angle, measure_edges};
 use system::System;
 
 /// Parameters of [`l0`].
@@ -110,7 +111,7 @@ pub fn l0(
     params.validate()?;
     let betas = params.betas();
     let (mut run, mut positions) = Run::start(topology, vertices, betas.len(), watch)?;
-    let stencils = find_stencils(topology);
+    let stencils = find_edge_pairs(topology);
     if stencils.is_empty() || betas.is_empty() {
         return Ok(vertices.to_vec());
     }

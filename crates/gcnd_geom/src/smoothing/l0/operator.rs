@@ -1,8 +1,7 @@
-//! The area-based edge operator D and the edges that it acts on.
+//! The area-based edge operator D.
 
+use crate::edge_pairs::EdgePair;
 use crate::face_geometry::normal_and_area;
-use crate::mesh::Face;
-use crate::topology::Topology;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -10,15 +9,6 @@ use rayon::prelude::*;
 const CHUNK: usize = 4096;
 /// Larger weights belong to faces so thin that their angle means nothing.
 const LARGEST_WEIGHT: f64 = 1e3;
-
-/// An edge p₁p₃ between two faces, with p₂ opposite in the first and p₄ in the second.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Stencil {
-    /// Ids of p₁, p₂, p₃, p₄.
-    pub vertices: [u32; 4],
-    /// Whether both faces run along the edge in the same direction, so that one of their normals is to be turned.
-    is_flipped: bool,
-}
 
 /// D of one edge in one iteration.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -29,36 +19,8 @@ pub(super) struct EdgeState {
     pub delta: DVec3,
 }
 
-/// The edges between two faces, in the order of the faces; faces that use a vertex twice have none.
-///
-/// Around an edge of more than two faces each face pairs with the next.
-pub(super) fn find_stencils(topology: &Topology) -> Vec<Stencil> {
-    let faces = topology.faces();
-    let is_proper = |[a, b, c]: Face| a != b && b != c && c != a;
-    let mut stencils = Vec::new();
-    for (face_id, &face) in faces.iter().enumerate().filter(|(_, face)| is_proper(**face)) {
-        for corner in 0..3 {
-            let [p1, p3, p2] = [face[corner], face[(corner + 1) % 3], face[(corner + 2) % 3]];
-            let shares_edge = |&&other: &&u32| {
-                let other_face = faces[other as usize];
-                other as usize > face_id
-                    && is_proper(other_face)
-                    && other_face.contains(&p1)
-                    && other_face.contains(&p3)
-            };
-            if let Some(&next) = topology.edge_neighbors(face_id).iter().filter(shares_edge).min() {
-                let other = faces[next as usize];
-                let Some(p4) = other.into_iter().find(|v| ![p1, p3].contains(v)) else { continue };
-                let is_flipped = (0..3).any(|c| other[c] == p1 && other[(c + 1) % 3] == p3);
-                stencils.push(Stencil { vertices: [p1, p2, p3, p4], is_flipped });
-            }
-        }
-    }
-    stencils
-}
-
 /// γ̄: the mean angle between the normals at an edge, in radians; edges beside a face without area left out.
-pub(super) fn mean_dihedral_angle(stencils: &[Stencil], positions: &[DVec3]) -> f64 {
+pub(super) fn mean_dihedral_angle(stencils: &[EdgePair], positions: &[DVec3]) -> f64 {
     let (mut sum, mut count) = (0.0, 0usize);
     for stencil in stencils {
         let [p1, p2, p3, p4] = stencil.vertices.map(|v| positions[v as usize]);
@@ -75,12 +37,12 @@ pub(super) fn mean_dihedral_angle(stencils: &[Stencil], positions: &[DVec3]) -> 
 
 /// D and δ of all edges: δ is D where |D|² is `threshold` or more, else zero.
 pub(super) fn measure_edges(
-    stencils: &[Stencil],
+    stencils: &[EdgePair],
     positions: &[DVec3],
     threshold: f64,
     edges: &mut Vec<EdgeState>,
 ) {
-    let measure = |stencil: &Stencil| {
+    let measure = |stencil: &EdgePair| {
         let corners = stencil.vertices.map(|v| positions[v as usize]);
         let weights = operator_weights(corners);
         let bend: DVec3 = corners.iter().zip(weights).map(|(p, w)| *p * w).sum();
@@ -110,28 +72,8 @@ fn operator_weights([p1, p2, p3, p4]: [DVec3; 4]) -> [f64; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixtures;
-
-    fn stencils((vertices, faces): fixtures::MeshParts) -> Vec<Stencil> {
-        find_stencils(&Topology::new(faces, vertices.len()).expect("valid"))
-    }
-
-    #[test]
-    fn every_inner_edge_has_one() {
-        assert_eq!(stencils(fixtures::cube()).len(), 18);
-        assert_eq!(stencils(fixtures::grid(3, 2)).len(), 7 + 6);
-        assert_eq!(stencils(fixtures::three_on_an_edge()).len(), 2, "one face with the next");
-        assert!(stencils(fixtures::hourglass()).is_empty());
-        let [edge] = stencils(fixtures::two_triangles())[..] else { panic!("one edge") };
-        assert_eq!(edge, Stencil { vertices: [1, 0, 2, 3], is_flipped: false });
-    }
-
-    #[test]
-    fn degenerate_and_flipped_faces() {
-        let at = |faces: Vec<Face>| find_stencils(&Topology::new(faces, 4).expect("valid"));
-        assert!(at(vec![[0, 0, 1], [0, 1, 2]]).is_empty());
-        assert_eq!(at(vec![[0, 1, 2], [0, 1, 3]]), [Stencil { vertices: [0, 2, 1, 3], is_flipped: true }]);
-    }
+    use crate::edge_pairs::find_edge_pairs;
+    use crate::{Topology, fixtures};
 
     #[test]
     fn weights_by_hand_on_a_square() {
@@ -167,9 +109,9 @@ mod tests {
         let (vertices, faces) = fixtures::cube();
         let topology = Topology::new(faces, 8).expect("valid");
         let expected = 12.0 / 18.0 * std::f64::consts::FRAC_PI_2;
-        assert!((mean_dihedral_angle(&find_stencils(&topology), &vertices) - expected).abs() < 1e-7);
+        assert!((mean_dihedral_angle(&find_edge_pairs(&topology), &vertices) - expected).abs() < 1e-7);
         let flat = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(0.3, -1.0, 0.0)];
-        let flipped = [Stencil { vertices: [0, 2, 1, 3], is_flipped: true }];
+        let flipped = [EdgePair { faces: [0, 1], vertices: [0, 2, 1, 3], is_flipped: true }];
         assert!((mean_dihedral_angle(&flipped, &flat) - std::f64::consts::PI).abs() < 1e-7);
     }
 }

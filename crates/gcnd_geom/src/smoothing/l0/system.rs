@@ -1,10 +1,8 @@
 //! The linear system of the positions: (I + α RᵀR + β DᵀD) p = p* + β Dᵀδ.
 
-use super::operator::{EdgeState, Stencil};
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::sparse::linalg::cholesky::{SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky};
-use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
-use faer::{Conj, MatMut, Par, Side};
+use super::operator::EdgeState;
+use crate::cholesky::{Cholesky, entry_key};
+use crate::edge_pairs::EdgePair;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -16,15 +14,12 @@ const PAIRS: [[usize; 2]; 10] =
 
 /// The system, whose pattern is analysed once, and memory that is reused between iterations.
 pub(super) struct System {
-    pattern: SymbolicSparseColMat<usize>,
-    factorization: SymbolicCholesky<usize>,
+    cholesky: Cholesky,
     /// For each stencil and pair, its place in `values`.
     slots: Vec<[u32; 10]>,
     diagonal: Vec<u32>,
     values: Vec<f64>,
-    factor: Vec<f64>,
     right: Vec<f64>,
-    scratch: MemBuffer,
 }
 
 impl System {
@@ -32,11 +27,10 @@ impl System {
     ///
     /// # Panics
     /// If memory runs out, or the pattern has more than 2³² entries.
-    pub fn new(stencils: &[Stencil], n: usize) -> Self {
-        let key = |a: u32, b: u32| u64::from(a.max(b)) << 32 | u64::from(a.min(b));
-        let key_of = |s: &Stencil, [i, j]: [usize; 2]| key(s.vertices[i], s.vertices[j]);
+    pub fn new(stencils: &[EdgePair], n: usize) -> Self {
+        let key_of = |s: &EdgePair, [i, j]: [usize; 2]| entry_key(s.vertices[i], s.vertices[j]);
         let mut keys: Vec<u64> = stencils.iter().flat_map(|s| PAIRS.map(|pair| key_of(s, pair))).collect();
-        keys.extend((0..n as u32).map(|v| key(v, v)));
+        keys.extend((0..n as u32).map(|v| entry_key(v, v)));
         keys.par_sort_unstable();
         keys.dedup();
         let slot = |key: u64| -> u32 {
@@ -44,26 +38,15 @@ impl System {
             u32::try_from(place).expect("fewer than 2^32 entries")
         };
         let slots = stencils.par_iter().map(|s| PAIRS.map(|pair| slot(key_of(s, pair)))).collect();
-        let diagonal = (0..n as u32).map(|v| slot(key(v, v))).collect();
-        let column_starts =
-            (0..=n as u64).map(|column| keys.partition_point(|key| key >> 32 < column)).collect();
-        let rows = keys.iter().map(|key| *key as u32 as usize).collect();
-        let pattern = SymbolicSparseColMat::new_checked(n, n, column_starts, None, rows);
-        let ordering = SymmetricOrdering::Amd;
-        let factorization =
-            factorize_symbolic_cholesky(pattern.as_ref(), Side::Upper, ordering, Default::default())
-                .expect("memory for the pattern of the factor");
-        let numeric = factorization.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
-        let solving = factorization.solve_in_place_scratch::<f64>(3, Par::Seq);
-        let scratch = MemBuffer::new(numeric.or(solving));
-        let (values, factor) = (vec![0.0; keys.len()], vec![0.0; factorization.len_val()]);
-        Self { pattern, factorization, slots, diagonal, values, factor, right: vec![0.0; 3 * n], scratch }
+        let diagonal = (0..n as u32).map(|v| slot(entry_key(v, v))).collect();
+        let (cholesky, values) = (Cholesky::new(n, &keys), vec![0.0; keys.len()]);
+        Self { cholesky, slots, diagonal, values, right: vec![0.0; 3 * n] }
     }
 
     /// Solves for `positions`; false, with `positions` unchanged, if rounding has made the system singular.
     pub fn solve(
         &mut self,
-        stencils: &[Stencil],
+        stencils: &[EdgePair],
         edges: &[EdgeState],
         alpha: f64,
         beta: f64,
@@ -71,23 +54,11 @@ impl System {
         positions: &mut [DVec3],
     ) -> bool {
         self.assemble(stencils, edges, alpha, beta, noisy);
-        let matrix = SparseColMatRef::new(self.pattern.as_ref(), &self.values[..]);
-        // One thread: the factor must not depend on how many there are.
-        let stack = MemStack::new(&mut self.scratch);
-        let (none, params) = (Default::default(), Default::default());
-        let factorized = self.factorization.factorize_numeric_llt(
-            &mut self.factor,
-            matrix,
-            Side::Upper,
-            none,
-            Par::Seq,
-            stack,
-            params,
-        );
-        let Ok(factorized) = factorized else { return false };
+        if !self.cholesky.factorize(&self.values) {
+            return false;
+        }
+        self.cholesky.solve(&mut self.right);
         let n = positions.len();
-        let right = MatMut::from_column_major_slice_mut(&mut self.right, n, 3);
-        factorized.solve_in_place_with_conj(Conj::No, right, Par::Seq, MemStack::new(&mut self.scratch));
         for (i, p) in positions.iter_mut().enumerate() {
             *p = DVec3::new(self.right[i], self.right[n + i], self.right[2 * n + i]);
         }
@@ -97,7 +68,7 @@ impl System {
     /// Fills the upper triangle and the right-hand side, edge after edge.
     fn assemble(
         &mut self,
-        stencils: &[Stencil],
+        stencils: &[EdgePair],
         edges: &[EdgeState],
         alpha: f64,
         beta: f64,
@@ -131,13 +102,14 @@ impl System {
 
 #[cfg(test)]
 mod tests {
-    use super::super::operator::{find_stencils, measure_edges};
+    use super::super::operator::measure_edges;
     use super::*;
+    use crate::edge_pairs::find_edge_pairs;
     use crate::{Topology, fixtures};
 
     /// I + α RᵀR + β DᵀD times p, less p* + β Dᵀδ, stencil by stencil.
     fn residual(
-        stencils: &[Stencil],
+        stencils: &[EdgePair],
         edges: &[EdgeState],
         alpha: f64,
         beta: f64,
@@ -166,7 +138,7 @@ mod tests {
         let first = vertices.len() as u32;
         vertices.extend([DVec3::splat(2.0), DVec3::new(2.0, 3.0, 2.0), DVec3::new(2.5, 2.0, 2.1)]);
         faces.extend([[first, first + 1, first + 2], [first + 1, first, first + 2]]);
-        let stencils = find_stencils(&Topology::new(faces, vertices.len()).expect("valid"));
+        let stencils = find_edge_pairs(&Topology::new(faces, vertices.len()).expect("valid"));
         let mut edges = Vec::new();
         measure_edges(&stencils, &vertices, 1e-3, &mut edges);
         assert!(edges.iter().any(|e| e.delta != DVec3::ZERO) && edges.iter().any(|e| e.delta == DVec3::ZERO));
