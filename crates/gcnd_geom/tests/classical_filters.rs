@@ -22,7 +22,7 @@ struct Filter {
     limits: (f64, f64),
 }
 
-const FILTERS: [Filter; 9] = [
+const FILTERS: [Filter; 10] = [
     Filter {
         name: "bilateral_normal",
         run: |t, v, w| bilateral_normal(t, v, &BilateralNormalParams::default(), w),
@@ -46,6 +46,12 @@ const FILTERS: [Filter; 9] = [
         run: |t, v, w| fast_effective(t, v, &FastEffectiveParams::default(), w),
         slides: false,
         limits: (0.5, 2.1),
+    },
+    Filter {
+        name: "low_rank",
+        run: |t, v, w| low_rank(t, v, &LowRankParams::default(), w),
+        slides: false,
+        limits: (8.1, 1.15),
     },
     Filter {
         name: "bilateral_mesh",
@@ -306,6 +312,10 @@ fn parameters_out_of_range_name_themselves() {
         ("smoothness", ImplicitNormalParams { smoothness: 0.0, ..Default::default() }.validate()),
         ("radius", GuidedNormalParams { radius: -2.0, ..gnf }.validate()),
         ("threshold", FastEffectiveParams { threshold: 1.0, ..Default::default() }.validate()),
+        ("sigma_m", LowRankParams { sigma_m: 0.0, ..Default::default() }.validate()),
+        ("similar_patches", LowRankParams { similar_patches: 65, ..Default::default() }.validate()),
+        ("patch_size", LowRankParams { patch_size: 1, ..Default::default() }.validate()),
+        ("search_rings", LowRankParams { search_rings: 0, ..Default::default() }.validate()),
         ("lambda", LaplacianParams { lambda: 1.5, ..Default::default() }.validate()),
         ("lambda", TaubinParams { lambda: 0.0, ..Default::default() }.validate()),
         ("mu", TaubinParams { mu: -0.5, ..Default::default() }.validate()),

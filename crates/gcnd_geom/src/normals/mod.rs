@@ -8,6 +8,7 @@
 //! | the same, all normals at once | [`bilateral_normal_implicit`] | Zheng et al. 2011 |
 //! | guided normal filtering | [`guided_normal`] | Zhang et al. 2015 |
 //! | fast and effective denoising | [`fast_effective`] | Sun et al. 2007 |
+//! | non-local low-rank filtering | [`low_rank()`] | Li et al. 2018 |
 
 pub mod adaptive;
 pub mod bilateral;
@@ -16,6 +17,7 @@ pub(crate) mod guidance;
 pub mod guided;
 pub mod implicit;
 pub(crate) mod kernel;
+pub mod low_rank;
 pub mod neighborhood;
 pub mod refine;
 
@@ -24,5 +26,6 @@ pub use bilateral::{BilateralNormalParams, bilateral_normal};
 pub use fast_effective::{FastEffectiveParams, fast_effective};
 pub use guided::{GuidedNormalParams, guided_normal};
 pub use implicit::{ImplicitNormalParams, bilateral_normal_implicit};
+pub use low_rank::{LowRankParams, low_rank};
 pub use neighborhood::Neighborhood;
 pub use refine::{RefineParams, refine_normals};

@@ -23,7 +23,7 @@ mod id_slots;
 mod params;
 mod scale_space;
 mod select;
-mod symmetric_eigen;
+pub(crate) mod symmetric_eigen;
 mod voting;
 
 pub use accumulator::NormalAccumulator;
