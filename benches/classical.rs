@@ -14,7 +14,7 @@ const SIDES: [u32; 3] = [100, 224, 707];
 type Run = fn(&Topology, &[DVec3], &mut Watch<'_>) -> Result<Vec<DVec3>>;
 
 /// Each filter, and on how many of the sheets it is timed.
-const FILTERS: [(&str, usize, Run); 10] = [
+const FILTERS: [(&str, usize, Run); 11] = [
     ("bilateral_normal", 3, |t, v, w| bilateral_normal(t, v, &BilateralNormalParams::default(), w)),
     ("bilateral_normal_implicit", 2, |t, v, w| {
         bilateral_normal_implicit(t, v, &ImplicitNormalParams::default(), w)
@@ -22,6 +22,7 @@ const FILTERS: [(&str, usize, Run); 10] = [
     ("guided_normal", 2, |t, v, w| guided_normal(t, v, &GuidedNormalParams::default(), w)),
     ("fast_effective", 3, |t, v, w| fast_effective(t, v, &FastEffectiveParams::default(), w)),
     ("tgv", 2, |t, v, w| tgv(t, v, &TgvParams::default(), w)),
+    ("low_rank", 1, |t, v, w| low_rank(t, v, &LowRankParams::default(), w)),
     ("bilateral_mesh", 3, |t, v, w| bilateral_mesh(t, v, &BilateralMeshParams::default(), w)),
     ("l0", 1, |t, v, w| l0(t, v, &L0Params::default(), w)),
     ("laplacian", 3, |t, v, w| laplacian(t, v, &LaplacianParams::default(), w)),

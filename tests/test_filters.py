@@ -124,7 +124,7 @@ def test_parameters_are_told_with_their_defaults() -> None:
     }
     assert infos["l0"].parameters["lambda_"] is None
     assert all(info.description and info.source for info in infos.values())
-    assert len(infos) >= 9
+    assert len(infos) >= 10
 
 
 def test_every_parameter_reaches_the_filter() -> None:
@@ -134,6 +134,7 @@ def test_every_parameter_reaches_the_filter() -> None:
         "alpha": 0.4, "mu": -0.8, "mu_alpha": 0.9, "beta": 0.02, "beta_max": 10.0, "alpha1": 3.0,
         "alpha0": 2.0, "mu_beta": 2.0,
         "fix_boundary": None, "iterations": 3, "normal_iterations": 3, "vertex_iterations": 3,
+        "sigma_m": 0.4, "similar_patches": 4, "patch_size": 20, "search_rings": 2,
     }  # fmt: skip
     for info in list_filters():
         usual, _ = apply_filter(mesh, info.name)

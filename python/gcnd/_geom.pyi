@@ -191,6 +191,19 @@ def fast_effective(
     fix_boundary: bool = True,
     progress: FilterProgress | None = None,
 ) -> Points: ...
+def low_rank(
+    topology: Topology,
+    vertices: Points,
+    *,
+    sigma_m: float = 0.2,
+    similar_patches: int = 10,
+    patch_size: int = 50,
+    search_rings: int = 10,
+    normal_iterations: int = 1,
+    vertex_iterations: int = 10,
+    fix_boundary: bool = False,
+    progress: FilterProgress | None = None,
+) -> Points: ...
 def tgv(
     topology: Topology,
     vertices: Points,

@@ -47,6 +47,7 @@ _FILTERS: dict[str, tuple[Callable[..., Any], str, str]] = {
     "l0": (_geom.l0, "as few bent edges as possible", "He, Schaefer 2013"),
     "fast-effective": (_geom.fast_effective, "thresholded averages of normals", "Sun et al. 2007"),
     "tgv": (_geom.tgv, "normals that bend evenly, or at creases", "Liu et al. 2022"),
+    "low-rank": (_geom.low_rank, "normals of patches alike as matrices of low rank", "Li et al. 2018"),
     "laplacian": (_geom.laplacian, "averages of positions", "Taubin 1995"),
     "taubin": (_geom.taubin, "averages of positions without shrinking", "Taubin 1995"),
     "hc-laplacian": (_geom.hc_laplacian, "averages of positions, pushed back", "Vollmer et al. 1999"),

@@ -22,7 +22,7 @@ struct Filter {
     limits: (f64, f64),
 }
 
-const FILTERS: [Filter; 10] = [
+const FILTERS: [Filter; 11] = [
     Filter {
         name: "bilateral_normal",
         run: |t, v, w| bilateral_normal(t, v, &BilateralNormalParams::default(), w),
@@ -52,6 +52,12 @@ const FILTERS: [Filter; 10] = [
         run: |t, v, w| tgv(t, v, &TgvParams::default(), w),
         slides: false,
         limits: (0.8, 0.8),
+    },
+    Filter {
+        name: "low_rank",
+        run: |t, v, w| low_rank(t, v, &LowRankParams::default(), w),
+        slides: false,
+        limits: (8.1, 1.15),
     },
     Filter {
         name: "bilateral_mesh",
@@ -315,6 +321,10 @@ fn parameters_out_of_range_name_themselves() {
         ("alpha1", TgvParams { alpha1: 0.0, ..Default::default() }.validate()),
         ("alpha0", TgvParams { alpha0: -1.0, ..Default::default() }.validate()),
         ("beta", TgvParams { beta: f64::NAN, ..Default::default() }.validate()),
+        ("sigma_m", LowRankParams { sigma_m: 0.0, ..Default::default() }.validate()),
+        ("similar_patches", LowRankParams { similar_patches: 65, ..Default::default() }.validate()),
+        ("patch_size", LowRankParams { patch_size: 1, ..Default::default() }.validate()),
+        ("search_rings", LowRankParams { search_rings: 0, ..Default::default() }.validate()),
         ("lambda", LaplacianParams { lambda: 1.5, ..Default::default() }.validate()),
         ("lambda", TaubinParams { lambda: 0.0, ..Default::default() }.validate()),
         ("mu", TaubinParams { mu: -0.5, ..Default::default() }.validate()),

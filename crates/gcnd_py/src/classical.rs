@@ -4,7 +4,8 @@ use crate::arrays::{self, Points};
 use crate::errors::IntoPython;
 use crate::mesh::PyTopology;
 use gcnd_geom::normals::{
-    BilateralNormalParams, FastEffectiveParams, GuidedNormalParams, ImplicitNormalParams, TgvParams,
+    BilateralNormalParams, FastEffectiveParams, GuidedNormalParams, ImplicitNormalParams, LowRankParams,
+    TgvParams,
 };
 use gcnd_geom::smoothing::{BilateralMeshParams, HcLaplacianParams, L0Params, LaplacianParams, TaubinParams};
 use gcnd_geom::{DVec3, Topology, Watch, normals, smoothing};
@@ -126,6 +127,35 @@ pub fn fast_effective<'py>(
 ) -> Positions<'py> {
     let params = FastEffectiveParams { threshold, normal_iterations, vertex_iterations, fix_boundary };
     run(py, normals::fast_effective, topology, &vertices, &params, progress)
+}
+
+#[pyfunction]
+#[pyo3(signature = (topology, vertices, *, sigma_m=0.2, similar_patches=10, patch_size=50, search_rings=10,
+                    normal_iterations=1, vertex_iterations=10, fix_boundary=false, progress=None))]
+#[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
+pub fn low_rank<'py>(
+    py: Python<'py>,
+    topology: &PyTopology,
+    vertices: Points<'py>,
+    sigma_m: f64,
+    similar_patches: usize,
+    patch_size: usize,
+    search_rings: usize,
+    normal_iterations: usize,
+    vertex_iterations: usize,
+    fix_boundary: bool,
+    progress: Option<Py<PyAny>>,
+) -> Positions<'py> {
+    let params = LowRankParams {
+        sigma_m,
+        similar_patches,
+        patch_size,
+        search_rings,
+        normal_iterations,
+        vertex_iterations,
+        fix_boundary,
+    };
+    run(py, normals::low_rank, topology, &vertices, &params, progress)
 }
 
 #[pyfunction]

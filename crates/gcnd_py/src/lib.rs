@@ -16,7 +16,7 @@ mod _geom {
     #[pymodule_export]
     use super::classical::{
         bilateral_mesh, bilateral_normal, bilateral_normal_implicit, fast_effective, guided_normal,
-        hc_laplacian, l0, laplacian, taubin, tgv,
+        hc_laplacian, l0, laplacian, low_rank, taubin, tgv,
     };
     #[pymodule_export]
     use super::filters::{

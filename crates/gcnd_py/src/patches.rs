@@ -4,8 +4,8 @@ use crate::arrays::{self, Points, slice, slice_mut};
 use crate::errors::{ConfigError, IntoPython};
 use crate::mesh::PyTopology;
 use gcnd_geom::patch::{
-    self, Budget, Cover, NormalAccumulator, PatchBuffers, PatchExtractor, PatchParams,
-    ROUGHNESS_QUANTILES, VotingRegion,
+    self, Budget, Cover, NormalAccumulator, PatchBuffers, PatchExtractor, PatchParams, ROUGHNESS_QUANTILES,
+    VotingRegion,
 };
 use gcnd_geom::{DVec3, Topology};
 use numpy::{
@@ -38,9 +38,9 @@ fn voting_region_from(name: &str) -> PyResult<VotingRegion> {
         "patch" => Ok(VotingRegion::Patch),
         "two_ring" => Ok(VotingRegion::TwoRing),
         "nobody" => Ok(VotingRegion::Nobody),
-        _ => Err(ConfigError::new_err(format!(
-            "voting_region is {name}, allowed: patch, two_ring or nobody"
-        ))),
+        _ => {
+            Err(ConfigError::new_err(format!("voting_region is {name}, allowed: patch, two_ring or nobody")))
+        }
     }
 }
 

@@ -9,6 +9,7 @@
 //! | guided normal filtering | [`guided_normal`] | Zhang et al. 2015 |
 //! | fast and effective denoising | [`fast_effective`] | Sun et al. 2007 |
 //! | total generalised variation | [`tgv`] | Liu et al. 2022 |
+//! | non-local low-rank filtering | [`low_rank()`] | Li et al. 2018 |
 
 pub mod adaptive;
 pub mod bilateral;
@@ -17,6 +18,7 @@ pub(crate) mod guidance;
 pub mod guided;
 pub mod implicit;
 pub(crate) mod kernel;
+pub mod low_rank;
 pub mod neighborhood;
 pub mod refine;
 pub mod tgv;
@@ -26,6 +28,7 @@ pub use bilateral::{BilateralNormalParams, bilateral_normal};
 pub use fast_effective::{FastEffectiveParams, fast_effective};
 pub use guided::{GuidedNormalParams, guided_normal};
 pub use implicit::{ImplicitNormalParams, bilateral_normal_implicit};
+pub use low_rank::{LowRankParams, low_rank};
 pub use neighborhood::Neighborhood;
 pub use refine::{RefineParams, refine_normals};
 pub use tgv::{TgvParams, tgv};

@@ -25,7 +25,7 @@ mod params;
 mod roughness;
 mod scale_space;
 mod select;
-mod symmetric_eigen;
+pub(crate) mod symmetric_eigen;
 mod voting;
 
 pub use accumulator::NormalAccumulator;

@@ -34,10 +34,7 @@ const RANGE: (f64, f64) = (1e-4, 10.0);
 /// assert_eq!(mesh_roughness(&topology, &vertices)?, [0.0; 4], "nothing is flatter than a plane");
 /// # Ok::<(), gcnd_geom::GeomError>(())
 /// ```
-pub fn mesh_roughness(
-    topology: &Topology,
-    vertices: &[DVec3],
-) -> Result<[f64; ROUGHNESS_QUANTILES.len()]> {
+pub fn mesh_roughness(topology: &Topology, vertices: &[DVec3]) -> Result<[f64; ROUGHNESS_QUANTILES.len()]> {
     check_len("vertices", topology.n_vertices(), vertices.len())?;
     if topology.n_faces() == 0 {
         return Err(GeomError::EmptyMesh);
@@ -116,7 +113,9 @@ mod tests {
                 .map(|(i, &v)| {
                     // Golden-ratio steps cover −1 to 1 evenly and have no pattern that neighbours share.
                     let step = ((i as f64 * 0.618_033_988_749_894_9).fract() * 7919.0).fract();
-                    v + size * (2.0 * step - 1.0) * if v.length() > 0.9 && v.length() < 1.1 { v } else { DVec3::Z }
+                    v + size
+                        * (2.0 * step - 1.0)
+                        * if v.length() > 0.9 && v.length() < 1.1 { v } else { DVec3::Z }
                 })
                 .collect();
             let topology = Topology::new(faces.to_vec(), noisy.len()).expect("valid");
@@ -126,7 +125,10 @@ mod tests {
             let on_sphere = roughness(&sphere, &sphere_faces, level);
             let on_plane = roughness(&plane, &plane_faces, level);
             for (a, b) in on_sphere.iter().zip(&on_plane) {
-                let (a, b) = (a / mean_edge_length(&sphere, &sphere_faces), b / mean_edge_length(&plane, &plane_faces));
+                let (a, b) = (
+                    a / mean_edge_length(&sphere, &sphere_faces),
+                    b / mean_edge_length(&plane, &plane_faces),
+                );
                 assert!((a / b).log10().abs() < 0.1, "{on_sphere:?} {on_plane:?}");
             }
             let doubled = roughness(&plane, &plane_faces, 2.0 * level);
@@ -145,7 +147,8 @@ mod tests {
         };
         let base = of(&vertices).expect("valid");
         assert!(base[0] > 1e-4 && base[0] < base[1] && base[2] < base[3], "{base:?}");
-        let mut moved: Vec<DVec3> = vertices.iter().map(|&v| 250.0 * DVec3::new(v.z, v.x, v.y) + DVec3::splat(30.0)).collect();
+        let mut moved: Vec<DVec3> =
+            vertices.iter().map(|&v| 250.0 * DVec3::new(v.z, v.x, v.y) + DVec3::splat(30.0)).collect();
         moved.push(DVec3::splat(1e6));
         let moved = of(&moved).expect("valid");
         for (a, b) in base.iter().zip(&moved) {
@@ -166,10 +169,7 @@ mod tests {
         let topology = Topology::new(vec![[0, 1, 2]], 3).expect("valid");
         assert_eq!(mesh_roughness(&topology, &point).expect("valid"), [0.0; 4]);
         let broken = [DVec3::ONE, DVec3::NAN, DVec3::ZERO];
-        assert_eq!(
-            mesh_roughness(&topology, &broken),
-            Err(GeomError::NonFiniteVertex { vertex_id: 1 })
-        );
+        assert_eq!(mesh_roughness(&topology, &broken), Err(GeomError::NonFiniteVertex { vertex_id: 1 }));
         let empty = Topology::new(vec![], 3).expect("valid");
         assert_eq!(mesh_roughness(&empty, &point), Err(GeomError::EmptyMesh));
     }
