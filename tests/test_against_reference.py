@@ -145,16 +145,21 @@ def test_scale_space_follows_the_other_channels(case: Case) -> None:
 
 def test_roughness(case: Case) -> None:
     got = _geom.mesh_roughness(case.topology, case.vertices)
-    np.testing.assert_allclose(got, filters.mesh_roughness(case.vertices, case.faces), rtol=0, atol=1e-9)
-    assert -3 < got[0] < got[1] < got[2] < got[3] < 0.5
+    np.testing.assert_allclose(got, filters.mesh_roughness(case.vertices, case.faces), rtol=1e-9)
+    assert 1e-4 < got[0] < got[1] < got[2] < got[3] < 0.1
 
 
-def test_roughness_is_the_same_on_every_node_and_comes_last(case: Case) -> None:
-    roughness = np.array([-2.5, -1.25, -0.5, 0.75])
+def test_roughness_comes_last_and_in_units_of_the_patch(case: Case) -> None:
+    roughness = np.array([0.0, 1e-3, 0.02, 0.7])
     for options in ({}, {"scale_space": True}, {"vertex_offsets": False}):
-        got = extract(case, 64, roughness=roughness, **options)["features"]
-        np.testing.assert_array_equal(got[..., :-4], extract(case, 64, **options)["features"])
-        assert (got[..., -4:] == roughness.astype(np.float32)).all()
+        got = extract(case, 64, roughness=roughness, **options)
+        plain = extract(case, 64, **options)["features"]
+        np.testing.assert_array_equal(got["features"][..., :-4], plain)
+        # r = 4 √ā by default.
+        relative = np.clip(4 * roughness / got["radii"][:, None], 1e-4, 10)
+        want = np.broadcast_to(np.log10(relative)[:, None], (*plain.shape[:2], 4))
+        np.testing.assert_allclose(got["features"][..., -4:], want, rtol=0, atol=1e-6)
+        assert got["features"][0, 0, -1] > 0
 
 
 @pytest.mark.parametrize("n_nodes", [16, 200])

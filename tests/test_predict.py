@@ -153,15 +153,19 @@ def test_a_network_is_told_how_rough_the_mesh_is_or_was() -> None:
     patch = PatchConfig(n_nodes=32, roughness=True)
     stage = StageConfig(NetworkConfig(in_channels=21), patch, coverage=1.0)
     own = _geom.mesh_roughness(TOPOLOGY, VERTICES)
-    for given, expected in ((None, own), (own + 0.5, own + 0.5)):
+    told = {}
+    for name, given in (("nothing", None), ("own", own), ("ten times that", 10 * own)):
         network = LastFeature()
         predict_normals(TOPOLOGY, VERTICES, stage, network, roughness=given)
-        assert network.seen
-        assert all(np.array_equal(seen, expected.astype(np.float32)) for seen in network.seen)
+        told[name] = np.array(network.seen)
+    assert -4 < told["own"].min()
+    assert told["own"].max() < 0
+    assert np.array_equal(told["nothing"], told["own"])
+    assert np.allclose(told["ten times that"], told["own"] + 1, atol=1e-5)
     # A network that does not ask for it does not see it.
     plain = LastFeature()
     predict_normals(TOPOLOGY, VERTICES, STAGE, plain, roughness=own)
-    assert plain.seen[0].tolist() != own.astype(np.float32).tolist()
+    assert not np.allclose(plain.seen[0], told["own"][0], atol=0.1)
 
 
 def test_every_pass_is_told_how_rough_the_mesh_was_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
