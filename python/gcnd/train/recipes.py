@@ -11,7 +11,7 @@ from gcnd.train.loop import TrainConfig
 from gcnd.train.samples import ChunkConfig
 
 DEFAULT_NETWORK = NetworkConfig(
-    in_channels=30,
+    in_channels=26,
     static_channels=(64, 64),
     dynamic_channels=(64, 64, 128),
     pool_channels=192,
@@ -59,16 +59,18 @@ REFINE_WHERE_CONSISTENT = RefinementConfig(iterations=12, sigma_r=0.15, toleranc
 
 
 def _default(*steps: int) -> Recipe:
-    """The first stage is covered thinly: what it misses, the later passes still see."""
-    patch = PatchConfig(scale_space=True, roughness=True)
+    """The first stage is covered thinly: what it misses, the later ones still see."""
+    patch = PatchConfig(scale_space=True)
     first = StageConfig(DEFAULT_NETWORK, patch, coverage=0.7)
-    second = StageConfig(DEFAULT_NETWORK, patch, passes=2, coverage=1.5)
+    second = StageConfig(DEFAULT_NETWORK, patch, passes=2, coverage=1.0)
+    third = StageConfig(DEFAULT_NETWORK, patch, coverage=2.0)
     return Recipe(
         "default",
-        "patch network with a normal for every node, two stages, the second run twice",
+        "patch network with a normal for every node, three stages, the second run twice",
         (
             TrainConfig(first, steps=steps[0]),
             TrainConfig(second, steps=steps[1], lr=1e-3, seed=1),
+            TrainConfig(third, steps=steps[2], lr=1e-3, seed=2),
         ),
         refinement=REFINE_WHERE_CONSISTENT,
     )
@@ -112,7 +114,7 @@ def _paper(steps: int, later_steps: int) -> Recipe:
 
 
 RECIPES = {
-    "default": _default(35_500, 26_500),
+    "default": _default(26_000, 19_000, 20_000),
     "fast": _fast(9_500, 6_500),
     "paper": _paper(450_000, 300_000),
 }
