@@ -13,7 +13,7 @@ from train_cases import CHUNK, clean, cube, sphere
 
 from gcnd.data.noise import NOISE_KINDS
 from gcnd.nn.cascade import PatchConfig
-from gcnd.predict import PatchArrays
+from gcnd.predict import PatchArrays, make_extractor
 from gcnd.train import samples
 from gcnd.train.samples import (
     Batch,
@@ -21,6 +21,7 @@ from gcnd.train.samples import (
     FreshNoise,
     NoiseDraw,
     NoisyMesh,
+    blurred,
     draw_noise,
     flip_frames,
     make_chunk,
@@ -278,3 +279,21 @@ def test_noise_moves_the_vertices_of_the_clean_mesh() -> None:
     assert abs(radial.std() / edge - 0.2) < 0.03
     assert np.array_equal(moved, noisy_vertices(shape, NoiseDraw("gaussian", 0.2, 0.0, 1)))
     assert np.array_equal(shape.vertices, sphere().vertices)
+
+
+def test_roughness_is_blurred_only_where_a_network_sees_it() -> None:
+    own = np.array([0.01, 0.02, 0.04, 0.1])
+    rng = np.random.default_rng(0)
+    logs = np.log10([blurred(own, rng) / own for _ in range(4000)])
+    assert np.abs(logs.mean(axis=0)).max() < 0.005
+    assert np.abs(logs.std(axis=0) - np.hypot(0.05, 0.03)).max() < 0.003
+    # What all four share, and what each has of its own.
+    assert abs(logs.mean(axis=1).std() - np.hypot(0.05, 0.03 / 2)) < 0.003
+    shape = clean(sphere())
+    source = FixedSource(shape, noisy_vertices(shape, NoiseDraw("gaussian", 0.2, 0.0, 1)))
+    told = make_chunk(source, SCALE_PATCH, CHUNK, 0, 0).features[:, 0, -4:]
+    exact = make_extractor(shape.topology, source.vertices, SCALE_PATCH, 0)
+    patches = PatchArrays(len(shape.faces), SCALE_PATCH)
+    patches.fill(exact, np.arange(len(shape.faces), dtype=np.uint32))
+    difference = told.mean(0).numpy() - patches.features[:, 0, -4:].mean(0)
+    assert 1e-3 < np.abs(difference).max() < 0.3

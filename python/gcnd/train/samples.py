@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 _NOISE_SHARES = (0.6, 0.15, 0.1, 0.1, 0.05)
 """Of the kinds of noise in training, in the order of ``NOISE_KINDS``."""
 
+_BLUR_OF_ALL, _BLUR_OF_EACH = 0.05, 0.03
+"""Deviations of log₁₀ of what a network in training is told of a mesh's roughness: about what it differs by from
+surface to surface at the same noise."""
+
 KIND_SHARES = {"cad": 0.3, "smooth": 0.3, "feature": 0.4}
 """How often each kind of shape is drawn; detailed ones, the hardest, a little more often."""
 
@@ -202,6 +206,8 @@ def _patches_of_one_mesh(
     source: VertexSource, patch: PatchConfig, count: int, config: ChunkConfig, rng: np.random.Generator
 ) -> Batch:
     shape, vertices, roughness = source.draw(rng)
+    if patch.roughness:
+        roughness = blurred(roughness, rng)
     extractor = make_extractor(shape.topology, vertices, patch, int(rng.integers(2**31)), roughness)
     patches = PatchArrays(count, patch)
     # In order of id, neighbouring patches find each other's faces in the cache; chunks are shuffled later.
@@ -217,6 +223,16 @@ def _patches_of_one_mesh(
         torch.from_numpy(weight.astype(np.float32)),
     )
     return flip_frames(batch, rng)
+
+
+def blurred(roughness: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+    """Varies a mesh's roughness (4,) a little, all of it by one factor and each number by another.
+
+    Told exactly, it would give away which mesh of a pool a patch is from.
+    """
+    spread = rng.normal(0, _BLUR_OF_ALL) + rng.normal(0, _BLUR_OF_EACH, roughness.shape)
+    varied: NDArray[np.float64] = roughness * 10**spread
+    return varied
 
 
 def flip_frames(batch: Batch, rng: np.random.Generator) -> Batch:
