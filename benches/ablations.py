@@ -6,7 +6,7 @@
 Every variant of a group is trained from nothing on the same generated shapes and as many patch nodes, with everything
 but the one thing that the group is about as in the recipe ``default``; then it denoises validation shapes that nothing
 is trained on. A line is kept in DIR/results.json once it is measured, and weights as DIR/GROUP-VARIANT.safetensors, for
-``gcnd denoise --weights`` and ``gcnd compare``.
+``gcnd denoise --preset`` and ``gcnd compare``.
 
 Paper: Sec. 7.5.
 """
@@ -24,7 +24,7 @@ import numpy as np
 from gcnd.data.noise import add_noise
 from gcnd.denoise import denoise_arrays
 from gcnd.metrics import normal_error
-from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, RefinementConfig, StageConfig
+from gcnd.nn.cascade import Cascade, PatchConfig, RefinementConfig, StageConfig
 from gcnd.train.corpus import VALIDATION_SEED, generated_shapes
 from gcnd.train.loop import TrainConfig, Trainer
 from gcnd.train.pool import DenoisedPool
@@ -155,10 +155,7 @@ def train(variant: Variant, steps: int, shapes: list[CleanShape], folder: Path) 
         state = trainer.average.state
         trainer.network.load_state_dict(state)
         stages.append((config.stage, trainer.network.eval()))
-    cascade = Cascade(CascadeConfig(tuple(s for s, _ in stages), refinement=RefinementConfig(iterations=0)))
-    for own, (_, network) in zip(cascade.stages, stages, strict=True):
-        own.load_state_dict(network.state_dict())
-    return cascade, speeds[steps - 1]
+    return Cascade.assembled(stages, RefinementConfig(iterations=0)), speeds[steps - 1]
 
 
 def tested(cascade: Cascade, shapes: list[CleanShape]) -> dict[str, float]:

@@ -18,7 +18,7 @@ def last_prediction(
         Positions (V, 3) before the last vertex update, and the last stage's prediction.
     """
     passes = cascade.passes()
-    roughness = _geom.mesh_roughness(topology, vertices)
+    roughness = _geom.mesh_roughness(topology, vertices) if cascade.sees_roughness else None
     for index, (stage, network) in enumerate(passes):
         precision = fast_precision("cpu")
         prediction = predict_normals(

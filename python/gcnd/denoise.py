@@ -134,7 +134,7 @@ def denoise_arrays(
     origin = vertices.mean(axis=0)
     vertices = vertices - origin
     topology = _geom.Topology(faces, len(vertices))
-    roughness = _geom.mesh_roughness(topology, vertices)
+    roughness = _geom.mesh_roughness(topology, vertices) if cascade.sees_roughness else None
     passes = cascade.passes()
     for index, (stage, network) in enumerate(passes):
         label = f"normals, pass {index + 1} of {len(passes)}"

@@ -175,6 +175,19 @@ class Cascade(nn.Module):
         self.config = config
         self.stages = nn.ModuleList(build_network(stage.network) for stage in config.stages)
 
+    @classmethod
+    def assembled(cls, stages: list[tuple[StageConfig, nn.Module]], refinement: RefinementConfig) -> Cascade:
+        """Makes a cascade with a copy of the weights of networks that were trained one after the other."""
+        cascade = cls(CascadeConfig(tuple(config for config, _ in stages), refinement=refinement))
+        for own, (_, network) in zip(cascade.stages, stages, strict=True):
+            own.load_state_dict(network.state_dict())
+        return cascade
+
+    @property
+    def sees_roughness(self) -> bool:
+        """Whether any stage is told how rough the mesh was before its first pass."""
+        return any(stage.patch.roughness for stage in self.config.stages)
+
     def passes(self) -> list[tuple[StageConfig, CentreNormalNet | NodeNormalNet]]:
         """Returns every pass over the mesh in order, stages that repeat written out."""
         return written_out(list(zip(self.config.stages, self.stages, strict=True)))  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ from gcnd import _geom
 from gcnd.denoise import denoise_arrays
 from gcnd.errors import ConfigError
 from gcnd.formats.atomic import write_atomic_npz
-from gcnd.nn.cascade import Cascade, CascadeConfig, written_out
+from gcnd.nn.cascade import Cascade, written_out
 from gcnd.nn.distributed import first_process_first, process_rank
 from gcnd.nn.networks import build_network
 from gcnd.predict import fast_precision, predict_normals
@@ -96,11 +96,7 @@ class TrainingRun:
             network: nn.Module = build_network(config.stage.network).to(self.device)
             network.load_state_dict(load_tensors(path)[0])
             trained.append((config.stage, network.eval()))
-        cascade = Cascade(
-            CascadeConfig(tuple(config for config, _ in trained), refinement=self.recipe.refinement)
-        )
-        for own, (_, network) in zip(cascade.stages, trained, strict=True):
-            own.load_state_dict(network.state_dict())
+        cascade = Cascade.assembled(trained, self.recipe.refinement)
         out = self.folder / f"{self.recipe.name}.safetensors"
         if self.is_first:
             save_cascade(out, cascade, {"recipe": self.recipe.name})
