@@ -13,7 +13,6 @@ import torch
 import trimesh
 from train_cases import STAGE, TRAIN, clean, cube, sphere
 
-from gcnd import _geom
 from gcnd.data import shape_cache
 from gcnd.data.noise import add_noise
 from gcnd.data.shapes import Shape
@@ -26,10 +25,8 @@ from gcnd.train import corpus as corpus_module
 from gcnd.train import run as run_module
 from gcnd.train.corpus import generated_corpus, given_shapes, paired_corpus
 from gcnd.train.loop import StepReport
-from gcnd.train.pool import _STREAM, DenoisedPool
 from gcnd.train.recipes import RECIPES, Recipe, get_recipe
 from gcnd.train.run import TrainingRun, adapted, append_line, widened
-from gcnd.train.samples import CleanShape, FreshNoise
 from gcnd.weights import load_cascade
 from gcnd.weights.files import load_tensors
 
@@ -261,45 +258,6 @@ def test_a_finished_stage_of_other_settings_is_refused(straight: Path, tmp_path:
     longer = replace(RECIPE, stages=(replace(RECIPE.stages[0], steps=50), RECIPE.stages[1]))
     with pytest.raises(ConfigError, match=r"stage1\.safetensors was trained with other settings"):
         run(tmp_path, longer)
-
-
-def test_a_pool_of_other_meshes_is_refused(tmp_path: Path) -> None:
-    shapes = [clean(sphere()), clean(cube(4))]
-    first = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 3, 0)
-    again = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 3, 0)
-    assert [member.shape for member in again.members] == [member.shape for member in first.members]
-    other = [clean(cube(2)), *shapes]
-    with pytest.raises(ConfigError, match="made from other meshes"):
-        DenoisedPool(tmp_path, FreshNoise(other), other, [], 3, 0)
-
-
-def test_shapes_of_one_name_stay_apart_in_a_pool(tmp_path: Path) -> None:
-    def named(shape: CleanShape) -> CleanShape:
-        return replace(shape, name="part", kind="cad")
-
-    shapes = [named(clean(sphere())), named(clean(cube(4)))]
-    pool = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 12, 0)
-    assert {member.shape for member in pool.members} == {0, 1}
-    assert all(len(member.vertices) == len(shapes[member.shape].vertices) for member in pool.members)
-
-
-def test_a_pool_keeps_how_rough_its_meshes_were_before(tmp_path: Path) -> None:
-    shapes = [clean(sphere())]
-    torch.manual_seed(6)
-    network = build_network(STAGE.network)
-    # It moves vertices only if it is not the identity.
-    torch.nn.init.normal_(network.out.weight, std=0.1)
-    stages = [(STAGE, network.eval())]
-    pool = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, stages, 2, 0)
-    rng = np.random.default_rng(0)
-    drawn = {float(mesh.roughness[2]): mesh for mesh in (pool.draw(rng) for _ in range(20))}
-    assert len(drawn) == 2
-    for mesh in drawn.values():
-        own = _geom.mesh_roughness(mesh.shape.topology, mesh.vertices)
-        assert np.abs(mesh.roughness / own - 1).max() > 0.01
-    noise = FreshNoise(shapes)
-    originals = [noise.draw(np.random.default_rng([0, _STREAM, number])).roughness for number in range(2)]
-    assert sorted(drawn) == sorted(float(roughness[2]) for roughness in originals)
 
 
 def test_a_line_cut_short_is_replaced(tmp_path: Path) -> None:

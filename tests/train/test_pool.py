@@ -1,0 +1,56 @@
+"""Meshes that earlier stages have denoised, kept on disk for the next stage to learn from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from train_cases import STAGE, clean, cube, sphere
+
+from gcnd import _geom
+from gcnd.errors import ConfigError
+from gcnd.nn.networks import build_network
+from gcnd.train.pool import _STREAM, DenoisedPool
+from gcnd.train.samples import CleanShape, FreshNoise
+
+
+def test_a_pool_of_other_meshes_is_refused(tmp_path: Path) -> None:
+    shapes = [clean(sphere()), clean(cube(4))]
+    first = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 3, 0)
+    again = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 3, 0)
+    assert [member.shape for member in again.members] == [member.shape for member in first.members]
+    other = [clean(cube(2)), *shapes]
+    with pytest.raises(ConfigError, match="made from other meshes"):
+        DenoisedPool(tmp_path, FreshNoise(other), other, [], 3, 0)
+
+
+def test_shapes_of_one_name_stay_apart_in_a_pool(tmp_path: Path) -> None:
+    def named(shape: CleanShape) -> CleanShape:
+        return replace(shape, name="part", kind="cad")
+
+    shapes = [named(clean(sphere())), named(clean(cube(4)))]
+    pool = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 12, 0)
+    assert {member.shape for member in pool.members} == {0, 1}
+    assert all(len(member.vertices) == len(shapes[member.shape].vertices) for member in pool.members)
+
+
+def test_a_pool_keeps_how_rough_its_meshes_were_before(tmp_path: Path) -> None:
+    shapes = [clean(sphere())]
+    torch.manual_seed(6)
+    network = build_network(STAGE.network)
+    # It moves vertices only if it is not the identity.
+    torch.nn.init.normal_(network.out.weight, std=0.1)
+    stages = [(STAGE, network.eval())]
+    pool = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, stages, 2, 0)
+    rng = np.random.default_rng(0)
+    drawn = {float(mesh.roughness[2]): mesh for mesh in (pool.draw(rng) for _ in range(20))}
+    assert len(drawn) == 2
+    for mesh in drawn.values():
+        own = _geom.mesh_roughness(mesh.shape.topology, mesh.vertices)
+        assert np.abs(mesh.roughness / own - 1).max() > 0.01
+    noise = FreshNoise(shapes)
+    originals = [noise.draw(np.random.default_rng([0, _STREAM, number])).roughness for number in range(2)]
+    assert sorted(drawn) == sorted(float(roughness[2]) for roughness in originals)
