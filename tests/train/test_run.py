@@ -16,6 +16,7 @@ from train_cases import STAGE, TRAIN, clean, cube, sphere
 from gcnd.data import shape_cache
 from gcnd.data.noise import add_noise
 from gcnd.data.shapes import Shape
+from gcnd.data.shapes_blend import blended
 from gcnd.denoise import denoise, denoise_arrays
 from gcnd.errors import ConfigError
 from gcnd.mesh_io import save
@@ -284,12 +285,14 @@ def test_meshes_of_a_folder_are_added_by_kind(tmp_path: Path) -> None:
     assert [(s.name, s.kind) for s in shapes] == [
         ("sphere", "smooth"),
         ("cube", "cad"),
+        ("cube, edges blended", "cad"),
         ("b", "cad"),
         ("c", "feature"),
         ("a", "smooth"),
     ]
-    assert [s.draw_weight for s in shapes] == [1.0, 1.0, 4.0, 4.0, 4.0]
-    assert np.array_equal(shapes[2].vertices, box.vertices)
+    assert [s.draw_weight for s in shapes] == [1.0, 1.0, 0.6, 4.0, 4.0, 4.0]
+    assert np.array_equal(shapes[3].vertices, box.vertices)
+    assert np.array_equal(shapes[2].vertices, blended(cube(4).vertices, cube(4).faces, 0.5))
     (tmp_path / "empty").mkdir()
     with pytest.raises(ConfigError, match=r"no mesh in .*empty"):
         generated_corpus(RECIPE, tmp_path, tmp_path / "empty")

@@ -29,6 +29,12 @@ VALIDATION_NOISE = NoiseDraw("gaussian", 0.2, 0.0, 12345)
 MESH_WEIGHT = 4.0
 """A mesh that the user gave is drawn as often as this many generated ones of its kind, and so is each thinned form."""
 
+BLENDED_WEIGHT = 0.6
+"""A generated machine part with its edges blended is drawn as often as this many of those with sharp edges."""
+
+BLEND_WIDTHS = (0.5, 0.8, 1.2, 1.8)
+"""How wide edges are blended, by turns, in mean edge lengths."""
+
 FEWEST_FACES = 4000
 """A given mesh is thinned out to no fewer."""
 
@@ -52,7 +58,8 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
     """Makes or reads the procedural shapes of a recipe, adds the meshes of a folder, and draws noise for them.
 
     Subfolders of ``mesh_folder`` named cad, smooth or feature give their meshes that kind; others are "feature". Meshes
-    that are no machine parts are also learned from with fewer triangles.
+    that are no machine parts are also learned from with fewer triangles, generated machine parts also with their edges
+    blended.
 
     Args:
         recipe: Says how many shapes, and from which seed on.
@@ -72,6 +79,7 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
         'cad'
     """
     shapes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder)
+    shapes += blended_parts(shapes)
     if mesh_folder is not None:
         shapes += [shape for path in find_meshes(mesh_folder) for shape in given_shapes(path)]
     held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
@@ -87,6 +95,24 @@ def generated_shapes(n: int, seed: int, folder: Path) -> list[CleanShape]:
     """
     shapes = load_generated(n, seed, folder, hint="pip install 'gcnd[train]', or give --pairs")
     return [CleanShape(s.name, s.kind, s.vertices, s.faces) for s in shapes]
+
+
+def blended_parts(shapes: list[CleanShape]) -> list[CleanShape]:
+    """Makes of every machine part another with its edges blended over a few triangles.
+
+    Where all edges are sharp, a network learns to make every narrow chamfer and fillet sharp. Planes stay planes.
+
+    Choice: docs/choices.md#training-shapes.
+    """
+    from gcnd.data.shapes_blend import blended
+
+    parts = [shape for shape in shapes if shape.kind == "cad"]
+    found = []
+    for number, part in enumerate(parts):
+        vertices = blended(part.vertices, part.faces, BLEND_WIDTHS[number % len(BLEND_WIDTHS)])
+        name = f"{part.name}, edges blended"
+        found.append(CleanShape(name, part.kind, vertices, part.faces, draw_weight=BLENDED_WEIGHT))
+    return found
 
 
 def given_shapes(path: Path) -> list[CleanShape]:
