@@ -11,7 +11,7 @@ from gcnd.train.loop import TrainConfig
 from gcnd.train.samples import ChunkConfig
 
 DEFAULT_NETWORK = NetworkConfig(
-    in_channels=26,
+    in_channels=30,
     static_channels=(64, 64),
     dynamic_channels=(64, 64, 128),
     pool_channels=192,
@@ -20,7 +20,7 @@ DEFAULT_NETWORK = NetworkConfig(
 """Ours: most of its products in the graph layers, few in the layers before pooling and in the head."""
 
 FAST_NETWORK = NetworkConfig(
-    in_channels=26,
+    in_channels=30,
     static_channels=(48,),
     dynamic_channels=(48, 64),
     pool_channels=64,
@@ -58,29 +58,29 @@ REFINE_WHERE_CONSISTENT = RefinementConfig(iterations=12, sigma_r=0.15, toleranc
 """Twelve iterations, but only where overlapping predictions agree (docs/experiments.md#where-to-refine)."""
 
 
+OUR_PATCH = PatchConfig(scale_space=True, roughness=True)
+
+
 def _default(*steps: int) -> Recipe:
-    """The first stage is covered thinly: what it misses, the later ones still see."""
-    patch = PatchConfig(scale_space=True)
-    first = StageConfig(DEFAULT_NETWORK, patch, coverage=0.7)
-    second = StageConfig(DEFAULT_NETWORK, patch, passes=2, coverage=1.0)
-    third = StageConfig(DEFAULT_NETWORK, patch, coverage=2.0)
+    """The first stage is covered thinly: what it misses, the second still sees."""
+    first = StageConfig(DEFAULT_NETWORK, OUR_PATCH, coverage=0.7)
+    second = StageConfig(DEFAULT_NETWORK, OUR_PATCH, passes=2, coverage=1.5)
     return Recipe(
         "default",
-        "patch network with a normal for every node, three stages, the second run twice",
+        "patch network with a normal for every node, two stages, the second run twice",
         (
             TrainConfig(first, steps=steps[0]),
             TrainConfig(second, steps=steps[1], lr=1e-3, seed=1),
-            TrainConfig(third, steps=steps[2], lr=1e-3, seed=2),
         ),
+        pool_size=400,
         refinement=REFINE_WHERE_CONSISTENT,
     )
 
 
 def _fast(*steps: int) -> Recipe:
-    """As default, with a fifth of the products a patch, half the patches and one stage less."""
-    patch = PatchConfig(scale_space=True)
-    first = StageConfig(FAST_NETWORK, patch, coverage=0.3)
-    second = StageConfig(FAST_NETWORK, patch, passes=2, coverage=0.4)
+    """As default, with a fifth of the products a patch and half the patches."""
+    first = StageConfig(FAST_NETWORK, OUR_PATCH, coverage=0.3)
+    second = StageConfig(FAST_NETWORK, OUR_PATCH, passes=2, coverage=0.4)
     return Recipe(
         "fast",
         "small patch network with a normal for every node, two stages, the second run twice",
@@ -88,6 +88,7 @@ def _fast(*steps: int) -> Recipe:
             TrainConfig(first, steps=steps[0]),
             TrainConfig(second, steps=steps[1], lr=1e-3, seed=1),
         ),
+        pool_size=400,
         refinement=replace(REFINE_WHERE_CONSISTENT, iterations=4),
     )
 
@@ -114,8 +115,8 @@ def _paper(steps: int, later_steps: int) -> Recipe:
 
 
 RECIPES = {
-    "default": _default(26_000, 19_000, 20_000),
-    "fast": _fast(9_500, 6_500),
+    "default": _default(38_000, 44_500),
+    "fast": _fast(13_500, 11_500),
     "paper": _paper(450_000, 300_000),
 }
 """By name. The paper's own numbers of steps are 24 and 16 epochs of 2.4 M patches in batches of 128."""
