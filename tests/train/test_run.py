@@ -419,9 +419,11 @@ def test_adapted_scales_the_steps_and_sets_the_precision(monkeypatch: pytest.Mon
 
 def test_recipes() -> None:
     assert {name: recipe.name for name, recipe in RECIPES.items()} == {
-        n: n for n in ("default", "fast", "paper")
+        n: n for n in ("default", "fast", "paper", "scan")
     }
-    with pytest.raises(ConfigError, match="unknown training preset 'papers', allowed: default, fast, paper"):
+    with pytest.raises(
+        ConfigError, match="unknown training preset 'papers', allowed: default, fast, paper, scan"
+    ):
         get_recipe("papers")
     for recipe in RECIPES.values():
         for stage in recipe.stages:
