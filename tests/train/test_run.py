@@ -24,7 +24,7 @@ from gcnd.nn.cascade import Cascade, RefinementConfig, StageConfig
 from gcnd.nn.networks import build_network
 from gcnd.train import corpus as corpus_module
 from gcnd.train import run as run_module
-from gcnd.train.corpus import generated_corpus, given_shapes, paired_corpus
+from gcnd.train.corpus import generated_corpus, given_shapes, paired_corpus, scanned_corpus
 from gcnd.train.loop import StepReport
 from gcnd.train.pool import _STREAM, DenoisedPool
 from gcnd.train.recipes import RECIPES, Recipe, get_recipe
@@ -433,3 +433,35 @@ def test_recipes() -> None:
     assert not paper.warm_start
     assert {(s.batch, s.lr, s.loss, s.chunk.balance_ratio) for s in paper.stages} == {(128, 1e-4, "mse", 1.5)}
     assert {s.stage.patch.budget for s in paper.stages} == {"random"}
+
+
+def test_a_run_on_scans_learns_from_scans_of_the_shapes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_small_shapes(monkeypatch)
+    recipe = replace(RECIPE, name="scan", data="scans", n_scans=2)
+    corpus = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans")
+    again = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans")
+    assert len(corpus.shapes) == 2
+    kinds = [mesh.shape.name.split("-")[1] for mesh in corpus.validation]
+    assert kinds == ["kinect1", "kinect2", "fusion", "print", "kinect1", "kinect2"]
+    for mesh, same in zip(corpus.validation, again.validation, strict=True):
+        assert np.array_equal(mesh.vertices, same.vertices)
+        angles = _geom.normal_angles(
+            _geom.face_geometry(mesh.vertices, mesh.shape.faces)[0], mesh.shape.normals
+        )
+        assert 3 < np.nanmean(angles) < 45
+    assert len(list((tmp_path / "scans").glob("*.npz"))) == 8
+    small = replace(corpus, validation=corpus.validation[3:4])
+    path = TrainingRun(tmp_path / "run", recipe, small, validate_every=5).run()
+    assert path.name == "scan.safetensors"
+    assert len(load_cascade(str(path)).passes()) == 3
+    with pytest.raises(ConfigError, match="n_scans of recipe scan is 0, allowed: 1 or more"):
+        scanned_corpus(replace(recipe, n_scans=0), tmp_path, None, tmp_path / "scans")
+
+
+def test_the_scan_recipe_is_the_defaults_networks_on_scans() -> None:
+    scan, default = get_recipe("scan"), get_recipe("default")
+    assert [s.stage for s in scan.stages] == [s.stage for s in default.stages]
+    assert (scan.data, default.data) == ("scans", "noise")
+    assert scan.n_scans > 100

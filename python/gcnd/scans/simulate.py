@@ -98,8 +98,6 @@ def simulate(
     clean = np.ascontiguousarray(vertices, dtype=np.float64)
     ids = np.ascontiguousarray(faces, dtype=np.uint32)
     _geom.validate(clean, ids)
-    if len(ids) == 0:
-        raise MeshError("there is no face to scan")
     rng = np.random.default_rng([seed, SCAN_KINDS.index(kind)])
     if isinstance(chosen, Print):
         return _printed(clean, ids, chosen, rng)
