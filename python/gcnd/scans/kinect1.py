@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from gcnd.data.noise import FloatArray
 from gcnd.scans.camera import Camera
@@ -79,8 +80,9 @@ class Kinect1:
 
     def _seen(self, view: View, limit: FloatArray, rng: np.random.Generator) -> BoolArray:
         depth, angles = view.depth, view.angles
-        drop = rng.random(depth.shape) * (self.steepest - self.dropout_from) + self.dropout_from
-        steep = angles > drop
+        # The matcher fails for whole windows: what is missing is correlated as noise is.
+        share = special.ndtr(correlated_field(rng, depth.shape, gaussian_window(self.window)))
+        steep = angles > self.dropout_from + share * (self.steepest - self.dropout_from)
         shadow = in_shadow(depth, self.camera.focal * self.baseline)
         ragged = self._beyond_edge(depth, angles, limit, rng)
         return np.isfinite(depth) & ~steep & ~shadow & ~ragged
