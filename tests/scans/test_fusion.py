@@ -93,7 +93,10 @@ def test_the_truth_lies_on_the_surface_and_faces_outward(fused: ScanPair) -> Non
     found = Surface(vertices * 0.12, faces).nearest(fused.clean_vertices)
     assert np.linalg.norm(found.points - fused.clean_vertices, axis=1).max() < 1e-9 * 0.12
     normals, centers, _ = _geom.face_geometry(fused.clean_vertices, fused.faces)
-    assert (np.einsum("fx,fx->f", normals, centers) > 0.1).all()
+    # Three points of a ball nearly in line make a face of any slope; but there are few, and none is turned over.
+    outward = np.einsum("fx,fx->f", normals, centers) / 0.12
+    assert (outward > 0).all()
+    assert (outward > 0.95).mean() > 0.995
     assert 2000 < len(fused.faces) < 40_000
 
 

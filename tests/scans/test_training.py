@@ -38,7 +38,8 @@ def test_a_pair_depends_on_seed_and_number_alone() -> None:
 
 
 def test_kinds_and_meshes_are_drawn_by_their_shares() -> None:
-    jobs = [training._job(shapes(), 0, number, None) for number in range(2000)]
+    meshes = shapes()
+    jobs = [training._job(meshes, 0, number, None) for number in range(2000)]
     shares = [np.mean([job.kind == kind for job in jobs]) for kind in SCAN_KINDS]
     np.testing.assert_allclose(shares, KIND_SHARES, atol=0.03)
     assert abs(np.mean([job.name == "small" for job in jobs]) - 0.5) < 0.03
