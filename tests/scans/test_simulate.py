@@ -154,6 +154,15 @@ def test_unused_vertices_do_not_count_for_the_size() -> None:
         ({"setting": Kinect1(noise=-1.0)}, r"noise of kinect1 is -1.0, allowed: finite and 0 or more"),
         ({"setting": Kinect1(baseline=0.0)}, r"baseline of kinect1 is 0.0, allowed: above 0"),
         ({"kind": "kinect2", "setting": Kinect2(least_albedo=0.0)}, r"least_albedo of kinect2 is 0.0"),
+        (
+            {"kind": "kinect2", "setting": Kinect2(least_albedo=1.5)},
+            r"least_albedo of kinect2 is 1.5, allowed: up to",
+        ),
+        ({"setting": Kinect1(steepest=1.57)}, r"steepest of kinect1 is 1.57, allowed: up to 1.55"),
+        (
+            {"kind": "fusion", "setting": Fusion(voxel=1e-6)},
+            r"voxel is 1e-06: the volume would have .* allowed: 2e\+08",
+        ),
         ({"kind": "fusion", "setting": Fusion(voxel=float("nan"))}, r"voxel of fusion is nan"),
         ({"kind": "fusion", "setting": Fusion(Kinect1(window=-2.0))}, r"window of fusion is -2.0"),
         ({"kind": "print", "setting": Print(layer=-1.0)}, r"layer of print is -1.0"),

@@ -145,6 +145,8 @@ def _checked_setting(kind: str, setting: Setting | None) -> Setting:
             raise ConfigError(f"{field} of {kind} is {value}, allowed: finite and 0 or more")
         if field in _POSITIVE and value == 0:
             raise ConfigError(f"{field} of {kind} is {value}, allowed: above 0")
+        if value > _AT_MOST.get(field, np.inf):
+            raise ConfigError(f"{field} of {kind} is {value}, allowed: up to {_AT_MOST[field]}")
     return setting
 
 
@@ -158,6 +160,9 @@ _POSITIVE = (
     "truncation",
     "n_frames",
 )
+
+_AT_MOST = {"steepest": 1.55, "least_albedo": 1.0}
+"""Deviations have no bound at a right angle, 1.571."""
 
 
 def _numbers(setting: Setting) -> dict[str, float]:

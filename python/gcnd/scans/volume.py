@@ -7,8 +7,10 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from gcnd.data.noise import FaceArray, FloatArray
-from gcnd.errors import GcndError
+from gcnd.errors import ConfigError, GcndError
 from gcnd.scans.camera import Camera, Pose
+
+_MOST_VOXELS = 200_000_000
 
 
 class Volume:
@@ -22,6 +24,9 @@ class Volume:
         voxel: Side of a voxel, in the unit of the points.
         truncation: μ, in the unit of the points.
 
+    Raises:
+        ConfigError: The box around the points has more than 200 million voxels.
+
     Source: Curless and Levoy 1996 (`curless1996`), Newcombe et al. 2011 (`newcombe2011`).
     """
 
@@ -30,6 +35,12 @@ class Volume:
         self.origin = points.min(axis=0) - margin
         self.voxel, self.truncation = voxel, truncation
         shape = np.ceil((points.max(axis=0) + margin - self.origin) / voxel).astype(np.int64) + 1
+        n_voxels = float(np.prod(shape.astype(np.float64)))
+        if n_voxels > _MOST_VOXELS:
+            raise ConfigError(
+                f"voxel is {voxel:g}: the volume would have {n_voxels:.3g} voxels, allowed: {_MOST_VOXELS:.3g}",
+                hint="take a larger voxel",
+            )
         empty = np.ones(shape, dtype=bool)
         empty[tuple(np.rint((points - self.origin) / voxel).astype(np.int64).T)] = False
         # One voxel more than μ: the nearest point was rounded to a voxel.
