@@ -249,6 +249,30 @@ def test_noise_passes_its_options_on(mesh_path: Path, monkeypatch: pytest.Monkey
     assert np.array_equal(load(out).vertices, VERTICES + 0.5)
 
 
+@pytest.mark.parametrize(("preset", "wanted"), [("scan", "scanned_corpus"), ("fast", "generated_corpus")])
+def test_train_takes_the_data_of_its_recipe(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    preset: str,
+    wanted: str,
+) -> None:
+    from gcnd.train import corpus
+
+    def stop(name: str) -> Any:
+        def called(*arguments: Any) -> None:
+            raise GcndError(f"{name} {[str(a) for a in arguments[1:]]}")
+
+        return called
+
+    for name in ("scanned_corpus", "generated_corpus", "paired_corpus"):
+        monkeypatch.setattr(corpus, name, stop(name))
+    out = tmp_path / "run"
+    places = [str(out / "shapes"), "None"] + ([str(out / "scans")] if preset == "scan" else [])
+    assert main(["train", "--preset", preset, "--out", str(out)]) == 1
+    assert capsys.readouterr().err.strip() == f"error: {wanted} {places}"
+
+
 def test_evaluate_prints_both_errors(
     mesh_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -24,7 +24,7 @@ from gcnd.nn.cascade import Cascade, RefinementConfig, StageConfig
 from gcnd.nn.networks import build_network
 from gcnd.train import corpus as corpus_module
 from gcnd.train import run as run_module
-from gcnd.train.corpus import generated_corpus, given_shapes, paired_corpus
+from gcnd.train.corpus import generated_corpus, given_shapes, paired_corpus, scanned_corpus
 from gcnd.train.loop import StepReport
 from gcnd.train.recipes import RECIPES, Recipe, get_recipe
 from gcnd.train.run import TrainingRun, adapted, append_line, widened
@@ -380,9 +380,11 @@ def test_adapted_scales_the_steps_and_sets_the_precision(monkeypatch: pytest.Mon
 
 def test_recipes() -> None:
     assert {name: recipe.name for name, recipe in RECIPES.items()} == {
-        n: n for n in ("default", "fast", "paper")
+        n: n for n in ("default", "fast", "paper", "scan")
     }
-    with pytest.raises(ConfigError, match="unknown training preset 'papers', allowed: default, fast, paper"):
+    with pytest.raises(
+        ConfigError, match="unknown training preset 'papers', allowed: default, fast, paper, scan"
+    ):
         get_recipe("papers")
     for recipe in RECIPES.values():
         for stage in recipe.stages:
@@ -392,3 +394,36 @@ def test_recipes() -> None:
     assert not paper.warm_start
     assert {(s.batch, s.lr, s.loss, s.chunk.balance_ratio) for s in paper.stages} == {(128, 1e-4, "mse", 1.5)}
     assert {s.stage.patch.budget for s in paper.stages} == {"random"}
+
+
+def test_a_run_on_scans_learns_from_scans_of_the_shapes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_small_shapes(monkeypatch)
+    monkeypatch.setattr(corpus_module, "N_VALIDATION", 4)
+    recipe = replace(RECIPE, name="scan", data="scans", n_scans=2, pool_size=1)
+    corpus = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans")
+    again = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans")
+    assert len(corpus.shapes) == 2
+    kinds = [mesh.shape.name.split("-")[1] for mesh in corpus.validation]
+    assert kinds == ["kinect1", "kinect2", "fusion", "print"]
+    for mesh, same in zip(corpus.validation, again.validation, strict=True):
+        assert np.array_equal(mesh.vertices, same.vertices)
+        angles = _geom.normal_angles(
+            _geom.face_geometry(mesh.vertices, mesh.shape.faces)[0], mesh.shape.normals
+        )
+        assert 3 < np.nanmean(angles) < 45
+    assert len(list((tmp_path / "scans").glob("*.npz"))) == 6
+    small = replace(corpus, validation=corpus.validation[3:4])
+    path = TrainingRun(tmp_path / "run", recipe, small, validate_every=5).run()
+    assert path.name == "scan.safetensors"
+    assert len(load_cascade(str(path)).passes()) == 3
+    with pytest.raises(ConfigError, match="n_scans of recipe scan is 0, allowed: 1 or more"):
+        scanned_corpus(replace(recipe, n_scans=0), tmp_path, None, tmp_path / "scans")
+
+
+def test_the_scan_recipe_is_the_defaults_networks_on_scans() -> None:
+    scan, default = get_recipe("scan"), get_recipe("default")
+    assert [s.stage for s in scan.stages] == [s.stage for s in default.stages]
+    assert (scan.data, default.data) == ("scans", "noise")
+    assert scan.n_scans > 100

@@ -24,7 +24,7 @@ _SECONDS_BETWEEN_LINES = 10.0
 
 
 def run(
-    preset: Annotated[str, typer.Option(help="Recipe: default, fast or paper.")] = "default",
+    preset: Annotated[str, typer.Option(help="Recipe: default, fast, paper or scan.")] = "default",
     out: Annotated[Path | None, typer.Option(help="Folder of the run; resumed when it exists.")] = None,
     meshes: Annotated[
         Path | None, typer.Option(help="Folder of clean meshes to train on beside the procedural shapes.")
@@ -57,7 +57,7 @@ def run(
 
     from gcnd.errors import ConfigError
     from gcnd.nn.distributed import process_group
-    from gcnd.train.corpus import generated_corpus, paired_corpus
+    from gcnd.train.corpus import generated_corpus, paired_corpus, scanned_corpus
     from gcnd.train.recipes import get_recipe
     from gcnd.train.run import adapted
     from gcnd.weights.registry import checked_device
@@ -72,9 +72,12 @@ def run(
     folder = out or Path("runs") / recipe.name
 
     def corpus() -> Corpus:
-        return (
-            paired_corpus(pairs) if pairs else generated_corpus(recipe, shapes or folder / "shapes", meshes)
-        )
+        if pairs:
+            return paired_corpus(pairs)
+        shape_folder = shapes or folder / "shapes"
+        if recipe.data == "scans":
+            return scanned_corpus(recipe, shape_folder, meshes, folder / "scans")
+        return generated_corpus(recipe, shape_folder, meshes)
 
     with process_group(checked_device(device.value)) as own_device:
         _train(folder, recipe, corpus, start_from, str(own_device))

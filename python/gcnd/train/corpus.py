@@ -1,4 +1,4 @@
-"""What a run learns from and what it is validated on: generated shapes, clean meshes, or pairs of noisy and clean."""
+"""What a run learns from and is validated on: generated shapes, clean meshes, scans of them, or given pairs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ import numpy as np
 from gcnd.data.folders import find_meshes
 from gcnd.data.generated import load_generated
 from gcnd.data.pairs import PairFiles, list_pairs, load_pair
+from gcnd.errors import ConfigError
 from gcnd.mesh_io import load, to_arrays
+from gcnd.scans import SCAN_KINDS
+from gcnd.scans.training import TrainingPair, load_training_pairs
 from gcnd.train.samples import CleanShape, FreshNoise, NoiseDraw, NoisyMesh, VertexSource, noisy_vertices
 
 if TYPE_CHECKING:
@@ -139,6 +142,45 @@ def given_shapes(path: Path) -> list[CleanShape]:
             name = f"{path.stem}, 1/{divisor} of the faces"
             shapes.append(CleanShape(name, kind, vertices, faces, draw_weight=MESH_WEIGHT))
     return shapes
+
+
+def scanned_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | None, scan_folder: Path) -> Corpus:
+    """Scans the clean meshes that `generated_corpus` would add noise to, and validates on scans of held-out shapes.
+
+    Args:
+        recipe: Says how many shapes and scans, and from which seed on.
+        shape_folder: Keeps procedural shapes between runs.
+        mesh_folder: Clean meshes of the user's, at any depth.
+        scan_folder: Keeps the scans between runs.
+
+    Raises:
+        ConfigError: No mesh in ``mesh_folder``, or no scan to make.
+        GcndError: What generates shapes or fuses frames is not installed.
+        MeshError: A mesh cannot be read, or scans of it have too few faces.
+
+    Choice: docs/choices.md#simulated-scans.
+
+    Example:
+        >>> from gcnd.train.recipes import get_recipe
+        >>> corpus = scanned_corpus(
+        ...     get_recipe("scan"), Path("shapes"), None, Path("scans")
+        ... )  # doctest: +SKIP
+    """
+    if recipe.n_scans < 1:
+        raise ConfigError(f"n_scans of recipe {recipe.name} is {recipe.n_scans}, allowed: 1 or more")
+    meshes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder)
+    if mesh_folder is not None:
+        meshes += [shape for path in find_meshes(mesh_folder) for shape in given_shapes(path)]
+    held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
+    pairs = [_of_scan(pair) for pair in load_training_pairs(meshes, recipe.n_scans, recipe.seed, scan_folder)]
+    unseen = load_training_pairs(held_out, N_VALIDATION, VALIDATION_SEED, scan_folder, kinds=SCAN_KINDS)
+    return Corpus([pair.shape for pair in pairs], PairSource(pairs), [_of_scan(pair) for pair in unseen])
+
+
+def _of_scan(pair: TrainingPair) -> NoisyMesh:
+    return NoisyMesh.untouched(
+        CleanShape(pair.name, "feature", pair.clean_vertices, pair.faces), pair.noisy_vertices
+    )
 
 
 class PairSource:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from gcnd.errors import ConfigError
 from gcnd.nn.cascade import PatchConfig, RefinementConfig, StageConfig
@@ -42,6 +43,8 @@ class Recipe:
         pool_size: Meshes denoised by the stages before, for every stage but the first.
         refinement: Of the normals after the last stage.
         seed: Of shapes, data and weights.
+        data: What is learned from: vertex noise on the shapes, or simulated scans of them.
+        n_scans: Simulated scans.
     """
 
     name: str
@@ -52,6 +55,8 @@ class Recipe:
     pool_size: int = 150
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     seed: int = field(default=0)
+    data: Literal["noise", "scans"] = "noise"
+    n_scans: int = 0
 
 
 REFINE_WHERE_CONSISTENT = RefinementConfig(iterations=12, sigma_r=0.15, tolerance=3.0, largest_spread=0.03)
@@ -93,6 +98,17 @@ def _fast(*steps: int) -> Recipe:
     )
 
 
+def _scan(*steps: int) -> Recipe:
+    """The default's networks on simulated scans; every draw of patches is from one of a fixed number of pairs."""
+    return replace(
+        _default(*steps),
+        name="scan",
+        description="the default's networks, trained on simulated depth-camera frames, fused frames and scanned prints",
+        data="scans",
+        n_scans=480,
+    )
+
+
 def _paper(steps: int, later_steps: int) -> Recipe:
     patch = PatchConfig(budget="random", vertex_offsets=False)
     shared = {
@@ -118,6 +134,7 @@ RECIPES = {
     "default": _default(38_000, 44_500),
     "fast": _fast(13_500, 11_500),
     "paper": _paper(450_000, 300_000),
+    "scan": _scan(20_000, 10_000),
 }
 """By name. The paper's own numbers of steps are 24 and 16 epochs of 2.4 M patches in batches of 128."""
 

@@ -1,0 +1,114 @@
+"""Pairs to train on: the same for a seed, kept on disk, made again when they no longer fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scan_cases import ball
+
+from gcnd.data.shapes import Shape
+from gcnd.errors import ConfigError, MeshError
+from gcnd.scans import SCAN_KINDS, Fusion, Kinect1, Kinect2, Print, training
+from gcnd.scans.training import (
+    KIND_SHARES,
+    TrainingPair,
+    draw_scan,
+    load_training_pairs,
+    training_pair,
+)
+
+
+def shapes() -> list[Shape]:
+    small, large = ball(2), ball(3)
+    return [Shape("small", "smooth", *small), Shape("large", "smooth", large[0] * [1, 1, 2], large[1])]
+
+
+def same(a: TrainingPair, b: TrainingPair) -> bool:
+    return a[:2] == b[:2] and all(np.array_equal(x, y) for x, y in zip(a[2:], b[2:], strict=True))
+
+
+def test_a_pair_depends_on_seed_and_number_alone() -> None:
+    first = training_pair(shapes(), 3, 5, "kinect2")
+    assert same(first, training_pair(shapes(), 3, 5, "kinect2"))
+    assert first.name.endswith("-kinect2-5")
+    assert not same(first, training_pair(shapes(), 3, 6, "kinect2"))
+    assert not same(first, training_pair(shapes(), 4, 5, "kinect2"))
+
+
+def test_kinds_and_meshes_are_drawn_by_their_shares() -> None:
+    meshes = shapes()
+    jobs = [training._job(meshes, 0, number, None) for number in range(2000)]
+    shares = [np.mean([job.kind == kind for job in jobs]) for kind in SCAN_KINDS]
+    np.testing.assert_allclose(shares, KIND_SHARES, atol=0.03)
+    assert abs(np.mean([job.name == "small" for job in jobs]) - 0.5) < 0.03
+
+
+def test_settings_are_drawn_within_what_a_scan_allows() -> None:
+    rng = np.random.default_rng(0)
+    types = {"kinect1": Kinect1, "kinect2": Kinect2, "fusion": Fusion, "print": Print}
+    for kind in SCAN_KINDS:
+        draws = [draw_scan(kind, rng) for _ in range(300)]
+        assert {type(draw.setting) for draw in draws} == {types[kind]}
+        for draw in draws:
+            sensor = draw.setting.sensor if isinstance(draw.setting, Fusion) else draw.setting
+            if not isinstance(sensor, Print):
+                assert draw.distance >= draw.size / 2 + sensor.nearest
+                # The whole bounding sphere is in the image.
+                half_angle = np.arctan((sensor.camera.height / 2) / sensor.camera.focal)
+                assert draw.size / 2 < draw.distance * np.sin(half_angle)
+        assert len({draw.setting for draw in draws}) == 300
+    frames = [draw_scan("kinect1", rng) for _ in range(300)]
+    assert {draw.diagonal for draw in frames} == {"down", "up", "shorter"}
+    assert {draw.setting.steps_per_pixel for draw in frames if isinstance(draw.setting, Kinect1)} == {
+        8,
+        16,
+        32,
+    }
+
+
+def test_pairs_come_back_from_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kinds = ("print", "kinect2")
+    made = load_training_pairs(shapes(), 3, 1, tmp_path, kinds=kinds, workers=1)
+    assert [pair.kind for pair in made] == ["print", "kinect2", "print"]
+    assert same(made[1], training_pair(shapes(), 1, 1, "kinect2"))
+    monkeypatch.setattr(training, "_make", None)
+    read = load_training_pairs(shapes(), 3, 1, tmp_path, kinds=kinds)
+    assert all(same(a, b) for a, b in zip(made, read, strict=True))
+
+
+def test_files_of_other_meshes_and_damaged_ones_are_made_again(tmp_path: Path) -> None:
+    load_training_pairs(shapes(), 2, 1, tmp_path, kinds=("print",), workers=1)
+    moved = [Shape(s.name, s.kind, s.vertices + 1, s.faces) for s in shapes()]
+    again = load_training_pairs(moved, 2, 1, tmp_path, kinds=("print",), workers=1)
+    assert all(pair.clean_vertices.min() > -1.1 and pair.clean_vertices.mean() > 0.9 for pair in again)
+    sorted(tmp_path.glob("*.npz"))[0].write_bytes(b"cut short")
+    assert same(load_training_pairs(moved, 2, 1, tmp_path, kinds=("print",), workers=1)[0], again[0])
+    other = load_training_pairs(moved, 1, 1, tmp_path, kinds=("kinect2",), workers=1)
+    assert other[0].kind == "kinect2"
+
+
+def test_other_processes_make_the_same(tmp_path: Path) -> None:
+    made = load_training_pairs(shapes(), 2, 7, tmp_path, kinds=("print",), workers=2)
+    assert all(same(made[n], training_pair(shapes(), 7, n, "print")) for n in range(2))
+
+
+def test_scans_of_too_few_faces_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(training, "FEWEST_FACES", 10**9)
+    with pytest.raises(MeshError, match=r"10 kinect2 scans of (small|large) had fewer than 1000000000 faces"):
+        training_pair(shapes(), 0, 0, "kinect2")
+    assert len(training_pair(shapes(), 0, 0, "print").faces) in (320, 1280)
+
+
+def test_wrong_numbers_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="there is no clean mesh to scan"):
+        training_pair([], 0, 0)
+    with pytest.raises(ConfigError, match="scan -1 of seed 0"):
+        training_pair(shapes(), 0, -1)
+    with pytest.raises(ConfigError, match="scan 0 of seed -2"):
+        load_training_pairs(shapes(), 1, -2, tmp_path)
+    with pytest.raises(ConfigError, match="cannot load -1 scans with 2 workers"):
+        load_training_pairs(shapes(), -1, 0, tmp_path)
+    with pytest.raises(ConfigError, match="cannot load 1 scans with 0 workers"):
+        load_training_pairs(shapes(), 1, 0, tmp_path, workers=0)
