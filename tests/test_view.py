@@ -200,6 +200,13 @@ def test_the_page_fetches_nothing(out: Path) -> None:
     )
 
 
+def test_meshes_without_a_file_are_called_by_their_place(out: Path) -> None:
+    gcnd.view((LIFTED, FACES), against=(SQUARE, FACES), out=out)
+    text = out.read_text(encoding="utf-8")
+    assert 'id="tag-before">before</p>' in text
+    assert 'id="tag-after">after</p>' in text
+
+
 def test_without_truth_there_is_no_error_to_choose(out: Path) -> None:
     gcnd.view((LIFTED, FACES), against=(SQUARE, FACES), out=out)
     assert re.findall(r'<option value="(\w*)"', out.read_text()) == ["", "angle", "displacement", "z", "y"]
@@ -322,6 +329,7 @@ def test_the_command_writes_the_page(
     assert re.fullmatch(rf"wrote {re.escape(str(out))}: 2 faces, 0\.5 MB\n", printed.err)
     text = out.read_text(encoding="utf-8")
     assert "<title>clean.ply against noisy.ply</title>" in text
+    assert 'id="tag-before">before: noisy.ply</p>' in text
     assert "<caption>Against truth.ply</caption>" in text
 
     assert main([*arguments, "--out", str(out), "--json"]) == 0

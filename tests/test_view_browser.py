@@ -99,6 +99,21 @@ def test_both_meshes_are_drawn_from_one_camera(browser: Browser, page: Path) -> 
     assert roughness(left) > 2 * roughness(right)
 
 
+def test_a_lopsided_mesh_stands_in_the_middle(browser: Browser, tmp_path: Path) -> None:
+    corners = np.array([[0.0, 0, 0], [4, 0, 0], [0, 1, 0], [0, 0, 1]])
+    mesh = (corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    gcnd.view(mesh, against=mesh, out=tmp_path / "view.html")
+    browser.open(tmp_path / "view.html")
+    browser.click("input[value=blend]")
+    browser.evaluate("document.querySelectorAll('.tag').forEach(tag => tag.remove())")
+    picture = browser.picture("#canvas")
+    places = np.nonzero(drawn(picture))
+    middles = [(own.min() + own.max()) / size - 1 for own, size in zip(places, picture.shape, strict=False)]
+    filled = [np.ptp(own) / size for own, size in zip(places, picture.shape, strict=False)]
+    assert np.abs(middles).max() < 0.02
+    assert max(filled) == pytest.approx(1 / 1.06, abs=0.01)
+
+
 def test_the_page_says_nothing_and_fetches_nothing(browser: Browser, page: Path) -> None:
     browser.open(page)
     for layer in ("angle", "error", "displacement", ""):

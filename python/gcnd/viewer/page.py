@@ -60,8 +60,8 @@ def view_page(
     return Template(_text("page.html")).substitute(
         title=html.escape(title),
         style=_text("page.css"),
-        before=html.escape(names.before),
-        after=html.escape(names.after),
+        before=_tag("before", names.before),
+        after=_tag("after", names.after),
         figures=_figure_tables(figures, names),
         layers="".join(
             f'<option value="{layer.name}">{html.escape(layer.label)}</option>' for layer in layers
@@ -76,6 +76,11 @@ def view_page(
         three=_text("three", "three.min.js"),
         scripts=scripts,
     )
+
+
+def _tag(when: str, name: str) -> str:
+    """Text over a pane; a mesh that is not a file has no name but when it is."""
+    return when if name == when else f"{when}: {html.escape(name)}"
 
 
 def _text(*parts: str) -> str:

@@ -1,7 +1,7 @@
 // The one camera of all panes: framing, turning by mouse, touch and keys.
 const AZIMUTH = 35;
 const ELEVATION = 25;
-const SAMPLES = 20000;
+const SAMPLES = 10000;
 const MARGIN = 1.06;
 
 class View {
@@ -49,7 +49,7 @@ class View {
     const target = new THREE.Vector3();
     let distance = this.distance(target, back, right, above, tall, aspect);
     // What is near looks larger, so the middle of the picture is not that of the mesh; a few steps find it.
-    for (let step = 0; step < 4; step++) {
+    for (let step = 0; step < 6; step++) {
       for (const axis of [right, above]) {
         const [low, high] = this.extent(target, back, axis, distance);
         target.addScaledVector(axis, (distance * (low + high)) / 2);
