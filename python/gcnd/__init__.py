@@ -17,6 +17,7 @@ from gcnd.errors import ConfigError, GcndError, MeshError, WeightsError
 if TYPE_CHECKING:
     from gcnd.denoise import denoise
     from gcnd.metrics import normal_error, vertex_error
+    from gcnd.viewer.view import view
 
 __version__ = _version("gcnd")
 
@@ -29,9 +30,15 @@ __all__ = [
     "denoise",
     "normal_error",
     "vertex_error",
+    "view",
 ]
 
-_HOMES = {"denoise": "gcnd.denoise", "normal_error": "gcnd.metrics", "vertex_error": "gcnd.metrics"}
+_HOMES = {
+    "denoise": "gcnd.denoise",
+    "normal_error": "gcnd.metrics",
+    "vertex_error": "gcnd.metrics",
+    "view": "gcnd.viewer.view",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from gcnd.cli import compare, denoise, evaluate, info, models, noise, train, train_report
+from gcnd.cli import compare, denoise, evaluate, info, models, noise, train, train_report, view
 from gcnd.errors import GcndError
 
 __all__ = ["app", "main"]
@@ -30,6 +30,7 @@ app.command("info")(info.run)
 app.command("models")(models.run)
 app.command("train")(train.run)
 app.command("train-report")(train_report.run)
+app.command("view")(view.run)
 
 _EXIT_ERROR, _EXIT_INTERRUPTED = 1, 130
 

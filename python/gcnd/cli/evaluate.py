@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from gcnd.cli.options import JsonFlag, Seed, print_json, print_table
 
-if TYPE_CHECKING:
-    from gcnd.mesh_io import MeshArrays
-
 __all__ = ["run"]
+
+_HINT = "compare a result with the truth of the same mesh, both in a format with vertex order, such as PLY"
 
 
 def run(
@@ -24,10 +23,11 @@ def run(
 ) -> None:
     """Print the normal error E_a (degrees) and the vertex error E_v (times 1000) of RESULT against TRUTH."""
     from gcnd.mesh_io import to_arrays
+    from gcnd.same_faces import check_same_faces
 
     result, _ = to_arrays(result_mesh)
     truth, _ = to_arrays(truth_mesh)
-    _require_same_faces(result, truth)
+    check_same_faces(result, truth, ("RESULT", "TRUTH"), _HINT)
     from gcnd.metrics import normal_error, vertex_error
 
     degrees = normal_error(result.vertices, truth.vertices, truth.faces)
@@ -44,17 +44,3 @@ def run(
         )
     else:
         print_table({"E_a": f"{degrees:.4f} degrees", "E_v": f"{distance * 1e3:.4f} (times 1000)"})
-
-
-def _require_same_faces(result: MeshArrays, truth: MeshArrays) -> None:
-    """Raises unless both meshes have the same faces in the same order: E_a compares face i with face i."""
-    from gcnd.errors import MeshError
-
-    hint = "compare a result with the truth of the same mesh, both in a format with vertex order, such as PLY"
-    if len(result.faces) != len(truth.faces):
-        raise MeshError(f"RESULT has {len(result.faces)} faces and TRUTH has {len(truth.faces)}", hint)
-    differs = (result.faces != truth.faces).any(axis=1)
-    if differs.any():
-        face_id = int(differs.argmax())
-        corners = [tuple(mesh.faces[face_id].tolist()) for mesh in (result, truth)]
-        raise MeshError(f"face {face_id} is {corners[0]} in RESULT and {corners[1]} in TRUTH", hint)

@@ -1,0 +1,176 @@
+"""What changed between two meshes with the same faces: a value a face or a vertex to colour by, and figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from gcnd import _geom
+from gcnd.data.noise import mean_edge_length
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from gcnd.mesh_io import MeshArrays
+
+__all__ = ["Figures", "Layer", "compare_meshes"]
+
+_FLIPPED = 90.0
+"""Degrees above which a face counts as flipped."""
+
+_SHARE_IN_SCALE = 95.0
+"""Percent of the values that the colour scale covers at first; the rest take its last colour."""
+
+_SHARE_OF_BOTH_IN_SCALE = 75.0
+"""The same for values of two meshes together: with all of the worse one in it, the better one would be one colour."""
+
+_STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Holds one value for every face or vertex, before and after.
+
+    Attributes:
+        name: As the page's program knows it.
+        label: As people read it.
+        unit: Behind a number, such as "°".
+        per: What each value belongs to.
+        before: Values (F,) or (V,) on the mesh before; NaN where there is none.
+        after: Values on the mesh after; the same array where the value is one of the pair.
+        scale_end: Value at the end of the colour scale, above 0.
+    """
+
+    name: str
+    label: str
+    unit: str
+    per: Literal["face", "vertex"]
+    before: NDArray[np.float64]
+    after: NDArray[np.float64]
+    scale_end: float
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Holds what the page says in numbers.
+
+    Lengths are in mean edge lengths of the mesh before, angles in degrees between the normals of a face; a face without
+    area before, or in the truth, has none. Figures against the truth are ``None`` without one.
+
+    Attributes:
+        faces: Number of faces.
+        vertices: Number of vertices that a face uses; only these count below.
+        mean_edge_length: Of the mesh before, mesh units.
+        displacement_mean: Mean distance of a vertex before and after.
+        displacement_max: The largest.
+        angle_mean: Mean angle between a face's normals before and after; NaN where no face has one.
+        angle_max: The largest.
+        flipped: Faces whose normal turned by more than 90° from before to after.
+        e_a_before: E_a of the mesh before against the truth.
+        e_a_after: E_a of the mesh after.
+        flipped_before: Faces more than 90° from the truth before.
+        flipped_after: Faces more than 90° from the truth after.
+    """
+
+    faces: int
+    vertices: int
+    mean_edge_length: float
+    displacement_mean: float
+    displacement_max: float
+    angle_mean: float
+    angle_max: float
+    flipped: int
+    e_a_before: float | None = None
+    e_a_after: float | None = None
+    flipped_before: int | None = None
+    flipped_after: int | None = None
+
+
+def compare_meshes(
+    before: MeshArrays, after: MeshArrays, truth: MeshArrays | None = None
+) -> tuple[list[Layer], Figures]:
+    """Computes what the page colours by and its figures.
+
+    Args:
+        before: The mesh before.
+        after: The same faces, moved.
+        truth: The same faces where they should be, or None.
+
+    Returns:
+        The layers angle (degrees, by face), with a truth error (degrees, by face), and displacement (mean edge
+        lengths, by vertex); and the figures.
+
+    Example:
+        >>> from gcnd.mesh_io import to_arrays
+        >>> corner, faces = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), [[0, 1, 2]]
+        >>> before, after = (to_arrays((v, faces))[0] for v in (corner, corner[:, [0, 2, 1]]))
+        >>> layers, figures = compare_meshes(before, after)
+        >>> round(figures.angle_max, 6), [layer.name for layer in layers]
+        (90.0, ['angle', 'displacement'])
+    """
+    normals = [_normals(mesh) for mesh in (before, after)]
+    angle = _geom.normal_angles(normals[1], normals[0])
+    edge = mean_edge_length(before.vertices, before.faces) or 1.0
+    displacement = np.linalg.norm(after.vertices - before.vertices, axis=1) / edge
+    counted = displacement[_used(before)]
+    layers = [_layer("angle", "angular change", "°", "face", angle, angle)]
+    against_truth: dict[str, float | int] = {}
+    if truth is not None:
+        errors = [_geom.normal_angles(own, _normals(truth)) for own in normals]
+        layers.append(_layer("error", "error against truth", "°", "face", *errors))
+        for when, values in zip(("before", "after"), errors, strict=True):
+            against_truth[f"e_a_{when}"] = _mean(values)
+            against_truth[f"flipped_{when}"] = int(np.count_nonzero(values > _FLIPPED))
+    layers.append(_layer("displacement", "displacement", " edges", "vertex", displacement, displacement))
+    figures = Figures(
+        faces=len(before.faces),
+        vertices=len(counted),
+        mean_edge_length=edge,
+        displacement_mean=float(counted.mean()),
+        displacement_max=float(counted.max()),
+        angle_mean=_mean(angle),
+        angle_max=float(np.nanmax(angle)) if not np.isnan(angle).all() else float("nan"),
+        flipped=int(np.count_nonzero(angle > _FLIPPED)),
+        **against_truth,  # type: ignore[arg-type]
+    )
+    return layers, figures
+
+
+def _layer(
+    name: str,
+    label: str,
+    unit: str,
+    per: Literal["face", "vertex"],
+    before: NDArray[np.float64],
+    after: NDArray[np.float64],
+) -> Layer:
+    known = np.concatenate([values[~np.isnan(values)] for values in (before, after)])
+    share = _SHARE_IN_SCALE if after is before else _SHARE_OF_BOTH_IN_SCALE
+    top = float(np.percentile(known, share)) if len(known) else 0.0
+    return Layer(name, label, unit, per, before, after, scale_end=_round_up(top))
+
+
+def _round_up(value: float) -> float:
+    """The next number that a scale can well end with; 1 for 0."""
+    if value <= 0.0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    # A hair of room, so that 5 stays 5 whatever the division makes of it.
+    return float(next(step * power for step in _STEPS if value <= step * power * (1 + 1e-9)))
+
+
+def _normals(mesh: MeshArrays) -> NDArray[np.float64]:
+    return _geom.face_geometry(mesh.vertices, mesh.faces)[0]
+
+
+def _used(mesh: MeshArrays) -> NDArray[np.bool_]:
+    is_used = np.zeros(len(mesh.vertices), dtype=np.bool_)
+    is_used[mesh.faces.reshape(-1)] = True
+    return is_used
+
+
+def _mean(angles: NDArray[np.float64]) -> float:
+    known = angles[~np.isnan(angles)]
+    return float(known.mean()) if len(known) else float("nan")

@@ -1,0 +1,26 @@
+// What the page uses of three.js; NOTICE says how this became three.min.js.
+export {
+  BufferGeometry,
+  DataTexture,
+  DoubleSide,
+  FloatType,
+  GLSL3,
+  LinearFilter,
+  Mesh,
+  NearestFilter,
+  PerspectiveCamera,
+  RGBAFormat,
+  RGBAIntegerFormat,
+  RGBFormat,
+  RedIntegerFormat,
+  Scene,
+  ShaderMaterial,
+  Spherical,
+  UnsignedByteType,
+  UnsignedIntType,
+  UnsignedShortType,
+  Vector2,
+  Vector3,
+  WebGLRenderer,
+} from "three";
+export { OrbitControls } from "./OrbitControls.js";

@@ -1,0 +1,91 @@
+"""Writing the page for two or three meshes, whatever kind they are."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gcnd.errors import ConfigError, MeshError
+from gcnd.formats.atomic import write_atomic
+from gcnd.mesh_io import to_arrays
+from gcnd.same_faces import check_same_faces
+from gcnd.viewer.changes import Figures, compare_meshes
+from gcnd.viewer.page import Names, view_page
+
+if TYPE_CHECKING:
+    from gcnd.mesh_io import MeshArrays, MeshPath
+
+__all__ = ["MAX_FACES", "view"]
+
+MAX_FACES = 2_000_000
+"""Faces of the largest mesh that a page takes; such a page has about 80 MB."""
+
+_HINT = "give meshes that differ only in their positions, in formats with vertex order, such as PLY"
+
+
+def view(after: Any, *, against: Any, truth: Any = None, out: MeshPath = "view.html") -> Figures:
+    """Writes one self-contained HTML page that shows a mesh before and after.
+
+    The page opens in any browser with WebGL 2 and fetches nothing. It shows both meshes from one camera, side by side,
+    with a wipe between them, or blended, plain or coloured by angular change (degrees a face), by error against the
+    truth (degrees a face) or by displacement (mean edge lengths a vertex).
+
+    Args:
+        after: The denoised mesh: a trimesh.Trimesh, a pair (vertices (V, 3), faces (F, 3)) or a path.
+        against: The mesh before, with the same faces in the same order.
+        truth: The true mesh, with the same faces in the same order, or None.
+        out: The page to write, .html; an existing one is replaced.
+
+    Returns:
+        The figures on the page.
+
+    Raises:
+        MeshError: The meshes do not share their faces and their number of vertices, have more than `MAX_FACES` faces,
+            or cannot be read; see `gcnd.mesh_io.to_arrays`.
+        ConfigError: `out` is not called .html, or its folder does not exist.
+        OSError: The page cannot be written. What stood at `out` then still does.
+
+    Example:
+        >>> figures = view("clean.ply", against="noisy.ply", out="view.html")  # doctest: +SKIP
+        >>> figures.displacement_max  # doctest: +SKIP
+        0.82
+    """
+    path = Path(out)
+    _check_page_path(path)
+    names = Names(
+        _name(against, "before"), _name(after, "after"), None if truth is None else _name(truth, "truth")
+    )
+    before_mesh, _ = to_arrays(against)
+    after_mesh, _ = to_arrays(after)
+    truth_mesh = None if truth is None else to_arrays(truth)[0]
+    _check_pair(after_mesh, before_mesh, (names.after, names.before))
+    if truth_mesh is not None:
+        _check_pair(truth_mesh, before_mesh, (names.truth or "truth", names.before))
+    if len(before_mesh.faces) > MAX_FACES:
+        raise MeshError(
+            f"{names.before} has {len(before_mesh.faces)} faces, and a page takes at most {MAX_FACES}",
+            "cut out the part of interest from each mesh, and view that",
+        )
+    layers, figures = compare_meshes(before_mesh, after_mesh, truth_mesh)
+    write_atomic(path, view_page(before_mesh, after_mesh, layers, figures, names).encode())
+    return figures
+
+
+def _check_pair(mesh: MeshArrays, before: MeshArrays, names: tuple[str, str]) -> None:
+    check_same_faces(mesh, before, names, _HINT)
+    if len(mesh.vertices) != len(before.vertices):
+        counts = (len(mesh.vertices), len(before.vertices))
+        raise MeshError(f"{names[0]} has {counts[0]} vertices and {names[1]} has {counts[1]}", _HINT)
+
+
+def _check_page_path(path: Path) -> None:
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(f"{path} is not the name of a page", hint="end it in .html")
+    folder = Path(os.path.realpath(path)).parent
+    if not folder.is_dir():
+        raise ConfigError(f"cannot write {path}: the folder {folder} does not exist", f"mkdir -p {folder}")
+
+
+def _name(mesh: Any, otherwise: str) -> str:
+    return Path(mesh).name if isinstance(mesh, str | os.PathLike) else otherwise
