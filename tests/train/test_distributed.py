@@ -10,7 +10,7 @@ import pytest
 import torch
 from distributed_cases import one_step
 from safetensors.torch import load_file, save_file
-from test_run import write_dataset
+from test_corpus import write_dataset
 from train_cases import CHUNK, STAGE, TRAIN, clean, cube, sphere
 
 from gcnd.errors import ConfigError

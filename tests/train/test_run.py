@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,52 +9,23 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-import trimesh
-from train_cases import STAGE, TRAIN, clean, cube, sphere
+from train_cases import RECIPE, STAGE, logged, sphere, use_small_shapes
 
-from gcnd.data import shape_cache
 from gcnd.data.noise import add_noise
-from gcnd.data.shapes import Shape
-from gcnd.data.shapes_blend import blended
 from gcnd.denoise import denoise, denoise_arrays
 from gcnd.errors import ConfigError
-from gcnd.mesh_io import save
-from gcnd.nn.cascade import Cascade, RefinementConfig, StageConfig
+from gcnd.nn.cascade import Cascade, StageConfig
 from gcnd.nn.networks import build_network
-from gcnd.train import corpus as corpus_module
-from gcnd.train import run as run_module
-from gcnd.train.corpus import generated_corpus, given_shapes, paired_corpus, scanned_corpus
+from gcnd.train.corpus import generated_corpus
 from gcnd.train.loop import StepReport
 from gcnd.train.recipes import RECIPES, Recipe, get_recipe
 from gcnd.train.run import TrainingRun, adapted, append_line, widened
 from gcnd.weights import load_cascade
 from gcnd.weights.files import load_tensors
 
-RECIPE = replace(
-    get_recipe("default"),
-    name="tiny",
-    stages=(
-        replace(TRAIN, steps=5),
-        replace(TRAIN, stage=replace(STAGE, passes=2), steps=4, seed=4),
-    ),
-    n_shapes=2,
-    pool_size=2,
-    refinement=RefinementConfig(iterations=3, sigma_r=0.2, tolerance=1.1),
-)
-
 
 class KilledError(Exception):
     """Stands for the end of the process."""
-
-
-def use_small_shapes(patched: pytest.MonkeyPatch) -> None:
-    """Two small shapes in place of the procedural ones, and a checkpoint after every step."""
-
-    def load_shapes(n: int, seed: int, directory: Path) -> list[Shape]:
-        return [sphere(), cube(4)][: 1 if seed == corpus_module.VALIDATION_SEED else n]
-
-    patched.setattr(shape_cache, "load_shapes", load_shapes)
-    patched.setattr(run_module, "CHECKPOINT_SECONDS", -1.0)
 
 
 @pytest.fixture(autouse=True)
@@ -84,10 +54,6 @@ def straight(tmp_path_factory: pytest.TempPathFactory) -> Path:
         use_small_shapes(patched)
         run(folder)
     return folder
-
-
-def logged(folder: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (folder / "log.jsonl").read_text(encoding="utf-8").splitlines()]
 
 
 def assert_same_weights(found: Path, expected: Path) -> None:
@@ -273,94 +239,6 @@ def test_a_line_cut_short_is_replaced(tmp_path: Path) -> None:
 # --- what a run is made of -----------------------------------------------------------------------------
 
 
-def test_meshes_of_a_folder_are_added_by_kind(tmp_path: Path) -> None:
-    for folder in ("cad", "smooth", "other"):
-        (tmp_path / folder).mkdir()
-    box = trimesh.creation.box()
-    save(box, tmp_path / "cad" / "b.ply")
-    save(box, tmp_path / "smooth" / "a.obj")
-    save(box, tmp_path / "other" / "c.off")
-    (tmp_path / "cad" / "notes.txt").write_text("no mesh", encoding="utf-8")
-    shapes = generated_corpus(RECIPE, tmp_path, tmp_path).shapes
-    assert [(s.name, s.kind) for s in shapes] == [
-        ("sphere", "smooth"),
-        ("cube", "cad"),
-        ("cube, edges blended", "cad"),
-        ("b", "cad"),
-        ("c", "feature"),
-        ("a", "smooth"),
-    ]
-    assert [s.draw_weight for s in shapes] == [1.0, 1.0, 0.6, 4.0, 4.0, 4.0]
-    assert np.array_equal(shapes[3].vertices, box.vertices)
-    assert np.array_equal(shapes[2].vertices, blended(cube(4).vertices, cube(4).faces, 0.5))
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(ConfigError, match=r"no mesh in .*empty"):
-        generated_corpus(RECIPE, tmp_path, tmp_path / "empty")
-
-
-def test_given_meshes_are_thinned_but_for_machine_parts_and_small_ones(tmp_path: Path) -> None:
-    for kind, subdivisions in (("smooth", 5), ("cad", 5), ("feature", 4)):
-        (tmp_path / kind).mkdir()
-        save(trimesh.creation.icosphere(subdivisions=subdivisions), tmp_path / kind / f"{kind}.ply")
-    sizes = {
-        kind: [
-            (s.name, s.kind, len(s.faces), s.draw_weight)
-            for s in given_shapes(tmp_path / kind / f"{kind}.ply")
-        ]
-        for kind in ("smooth", "cad", "feature")
-    }
-    assert sizes["smooth"] == [
-        ("smooth", "smooth", 20480, 4.0),
-        ("smooth, 1/2 of the faces", "smooth", 10240, 4.0),
-        ("smooth, 1/4 of the faces", "smooth", 5120, 4.0),
-    ]
-    assert [s[2] for s in sizes["cad"]] == [20480]
-    assert [s[2] for s in sizes["feature"]] == [5120]
-    thinned = given_shapes(tmp_path / "smooth" / "smooth.ply")[2]
-    assert np.abs(np.linalg.norm(thinned.vertices, axis=1) - 1).max() < 0.01
-
-
-def write_dataset(folder: Path) -> None:
-    """Two models for training, one for the test, each with two noisy versions."""
-    for split, models in (("train", ("ball", "big_box")), ("test", ("egg",))):
-        for part in ("noisy", "original"):
-            (folder / split / part).mkdir(parents=True)
-        for number, model in enumerate(models):
-            shape = cube(4) if model == "big_box" else sphere()
-            save(
-                trimesh.Trimesh(shape.vertices, shape.faces, process=False),
-                folder / split / "original" / f"{model}.obj",
-            )
-            for name, level in ((f"{model}_n1", 0.1), (f"{model}_noisy", 0.3)):
-                noisy = add_noise(shape.vertices, shape.faces, level=level, seed=number)
-                save(
-                    trimesh.Trimesh(noisy, shape.faces, process=False),
-                    folder / split / "noisy" / f"{name}.obj",
-                )
-
-
-def test_a_run_on_pairs_learns_from_them_alone(tmp_path: Path) -> None:
-    write_dataset(tmp_path / "data")
-    corpus = paired_corpus(tmp_path / "data")
-    names = ["ball_n1", "ball_noisy", "big_box_n1", "big_box_noisy"]
-    assert [shape.name for shape in corpus.shapes] == names
-    assert [mesh.shape.name for mesh in corpus.validation] == ["egg_n1", "egg_noisy"]
-    rng = np.random.default_rng(0)
-    drawn = [corpus.source.draw(rng) for _ in range(60)]
-    assert sorted({mesh.shape.name for mesh in drawn}) == names
-    edge = sphere_edge()
-    for shape, vertices, _ in drawn:
-        moved = np.linalg.norm(vertices - shape.vertices, axis=1).std()
-        assert 0 < moved < 0.5 * max(edge, shape.noise.mean_edge)
-    path = TrainingRun(tmp_path / "run", RECIPE, corpus, validate_every=5).run()
-    assert len(load_cascade(str(path)).passes()) == 3
-    assert all(0 < line["validation_e_a"] < 90 for line in logged(tmp_path / "run"))
-
-
-def sphere_edge() -> float:
-    return clean(sphere()).noise.mean_edge
-
-
 def test_adapted_scales_the_steps_and_sets_the_precision(monkeypatch: pytest.MonkeyPatch) -> None:
     recipe = get_recipe("default")
     scaled = adapted(recipe, scale=0.5, precision="bfloat16")
@@ -394,36 +272,3 @@ def test_recipes() -> None:
     assert not paper.warm_start
     assert {(s.batch, s.lr, s.loss, s.chunk.balance_ratio) for s in paper.stages} == {(128, 1e-4, "mse", 1.5)}
     assert {s.stage.patch.budget for s in paper.stages} == {"random"}
-
-
-def test_a_run_on_scans_learns_from_scans_of_the_shapes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use_small_shapes(monkeypatch)
-    monkeypatch.setattr(corpus_module, "N_VALIDATION", 4)
-    recipe = replace(RECIPE, name="scan", data="scans", n_scans=2, pool_size=1)
-    corpus = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans")
-    again = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans")
-    assert len(corpus.shapes) == 2
-    kinds = [mesh.shape.name.split("-")[1] for mesh in corpus.validation]
-    assert kinds == ["kinect1", "kinect2", "fusion", "print"]
-    for mesh, same in zip(corpus.validation, again.validation, strict=True):
-        assert np.array_equal(mesh.vertices, same.vertices)
-        angles = _geom.normal_angles(
-            _geom.face_geometry(mesh.vertices, mesh.shape.faces)[0], mesh.shape.normals
-        )
-        assert 3 < np.nanmean(angles) < 45
-    assert len(list((tmp_path / "scans").glob("*.npz"))) == 6
-    small = replace(corpus, validation=corpus.validation[3:4])
-    path = TrainingRun(tmp_path / "run", recipe, small, validate_every=5).run()
-    assert path.name == "scan.safetensors"
-    assert len(load_cascade(str(path)).passes()) == 3
-    with pytest.raises(ConfigError, match="n_scans of recipe scan is 0, allowed: 1 or more"):
-        scanned_corpus(replace(recipe, n_scans=0), tmp_path, None, tmp_path / "scans")
-
-
-def test_the_scan_recipe_is_the_defaults_networks_on_scans() -> None:
-    scan, default = get_recipe("scan"), get_recipe("default")
-    assert [s.stage for s in scan.stages] == [s.stage for s in default.stages]
-    assert (scan.data, default.data) == ("scans", "noise")
-    assert scan.n_scans > 100

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+import pytest
 import trimesh
 from numpy.typing import NDArray
 
 from gcnd import _geom
+from gcnd.data import shape_cache
 from gcnd.data.shapes import Shape
-from gcnd.nn.cascade import PatchConfig, StageConfig
+from gcnd.nn.cascade import PatchConfig, RefinementConfig, StageConfig
 from gcnd.nn.networks import NetworkConfig
+from gcnd.train import corpus as corpus_module
+from gcnd.train import run as run_module
 from gcnd.train.loop import TrainConfig
+from gcnd.train.recipes import get_recipe
 from gcnd.train.samples import ChunkConfig, CleanShape
 
 NETWORK = NetworkConfig("nodes", 17, (8,), (8, 12), 16, (12, 8), 4, "node")
@@ -51,3 +61,30 @@ def cube(n: int = 6) -> Shape:
 
 def clean(shape: Shape) -> CleanShape:
     return CleanShape(shape.name, shape.kind, shape.vertices, shape.faces)
+
+
+RECIPE = replace(
+    get_recipe("default"),
+    name="tiny",
+    stages=(
+        replace(TRAIN, steps=5),
+        replace(TRAIN, stage=replace(STAGE, passes=2), steps=4, seed=4),
+    ),
+    n_shapes=2,
+    pool_size=2,
+    refinement=RefinementConfig(iterations=3, sigma_r=0.2, tolerance=1.1),
+)
+
+
+def use_small_shapes(patched: pytest.MonkeyPatch) -> None:
+    """Two small shapes in place of the procedural ones, and a checkpoint after every step."""
+
+    def load_shapes(n: int, seed: int, directory: Path) -> list[Shape]:
+        return [sphere(), cube(4)][: 1 if seed == corpus_module.VALIDATION_SEED else n]
+
+    patched.setattr(shape_cache, "load_shapes", load_shapes)
+    patched.setattr(run_module, "CHECKPOINT_SECONDS", -1.0)
+
+
+def logged(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "log.jsonl").read_text(encoding="utf-8").splitlines()]

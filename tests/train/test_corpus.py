@@ -1,0 +1,148 @@
+"""What a run learns from: shapes, meshes of a folder, pairs on disk, simulated scans."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from train_cases import RECIPE, clean, cube, logged, sphere, use_small_shapes
+
+from gcnd import _geom
+from gcnd.data.noise import add_noise
+from gcnd.data.shapes_blend import blended
+from gcnd.errors import ConfigError
+from gcnd.mesh_io import save
+from gcnd.train import corpus as corpus_module
+from gcnd.train.corpus import generated_corpus, given_shapes, paired_corpus, scanned_corpus
+from gcnd.train.recipes import get_recipe
+from gcnd.train.run import TrainingRun
+from gcnd.weights import load_cascade
+
+
+@pytest.fixture(autouse=True)
+def small_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_small_shapes(monkeypatch)
+
+
+def test_meshes_of_a_folder_are_added_by_kind(tmp_path: Path) -> None:
+    for folder in ("cad", "smooth", "other"):
+        (tmp_path / folder).mkdir()
+    box = trimesh.creation.box()
+    save(box, tmp_path / "cad" / "b.ply")
+    save(box, tmp_path / "smooth" / "a.obj")
+    save(box, tmp_path / "other" / "c.off")
+    (tmp_path / "cad" / "notes.txt").write_text("no mesh", encoding="utf-8")
+    shapes = generated_corpus(RECIPE, tmp_path, tmp_path).shapes
+    assert [(s.name, s.kind) for s in shapes] == [
+        ("sphere", "smooth"),
+        ("cube", "cad"),
+        ("cube, edges blended", "cad"),
+        ("b", "cad"),
+        ("c", "feature"),
+        ("a", "smooth"),
+    ]
+    assert [s.draw_weight for s in shapes] == [1.0, 1.0, 0.6, 4.0, 4.0, 4.0]
+    assert np.array_equal(shapes[3].vertices, box.vertices)
+    assert np.array_equal(shapes[2].vertices, blended(cube(4).vertices, cube(4).faces, 0.5))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match=r"no mesh in .*empty"):
+        generated_corpus(RECIPE, tmp_path, tmp_path / "empty")
+
+
+def test_given_meshes_are_thinned_but_for_machine_parts_and_small_ones(tmp_path: Path) -> None:
+    for kind, subdivisions in (("smooth", 5), ("cad", 5), ("feature", 4)):
+        (tmp_path / kind).mkdir()
+        save(trimesh.creation.icosphere(subdivisions=subdivisions), tmp_path / kind / f"{kind}.ply")
+    sizes = {
+        kind: [
+            (s.name, s.kind, len(s.faces), s.draw_weight)
+            for s in given_shapes(tmp_path / kind / f"{kind}.ply")
+        ]
+        for kind in ("smooth", "cad", "feature")
+    }
+    assert sizes["smooth"] == [
+        ("smooth", "smooth", 20480, 4.0),
+        ("smooth, 1/2 of the faces", "smooth", 10240, 4.0),
+        ("smooth, 1/4 of the faces", "smooth", 5120, 4.0),
+    ]
+    assert [s[2] for s in sizes["cad"]] == [20480]
+    assert [s[2] for s in sizes["feature"]] == [5120]
+    thinned = given_shapes(tmp_path / "smooth" / "smooth.ply")[2]
+    assert np.abs(np.linalg.norm(thinned.vertices, axis=1) - 1).max() < 0.01
+
+
+def write_dataset(folder: Path) -> None:
+    """Two models for training, one for the test, each with two noisy versions."""
+    for split, models in (("train", ("ball", "big_box")), ("test", ("egg",))):
+        for part in ("noisy", "original"):
+            (folder / split / part).mkdir(parents=True)
+        for number, model in enumerate(models):
+            shape = cube(4) if model == "big_box" else sphere()
+            save(
+                trimesh.Trimesh(shape.vertices, shape.faces, process=False),
+                folder / split / "original" / f"{model}.obj",
+            )
+            for name, level in ((f"{model}_n1", 0.1), (f"{model}_noisy", 0.3)):
+                noisy = add_noise(shape.vertices, shape.faces, level=level, seed=number)
+                save(
+                    trimesh.Trimesh(noisy, shape.faces, process=False),
+                    folder / split / "noisy" / f"{name}.obj",
+                )
+
+
+def test_a_run_on_pairs_learns_from_them_alone(tmp_path: Path) -> None:
+    write_dataset(tmp_path / "data")
+    corpus = paired_corpus(tmp_path / "data")
+    names = ["ball_n1", "ball_noisy", "big_box_n1", "big_box_noisy"]
+    assert [shape.name for shape in corpus.shapes] == names
+    assert [mesh.shape.name for mesh in corpus.validation] == ["egg_n1", "egg_noisy"]
+    rng = np.random.default_rng(0)
+    drawn = [corpus.source.draw(rng) for _ in range(60)]
+    assert sorted({mesh.shape.name for mesh in drawn}) == names
+    edge = sphere_edge()
+    for shape, vertices, _ in drawn:
+        moved = np.linalg.norm(vertices - shape.vertices, axis=1).std()
+        assert 0 < moved < 0.5 * max(edge, shape.noise.mean_edge)
+    path = TrainingRun(tmp_path / "run", RECIPE, corpus, validate_every=5).run()
+    assert len(load_cascade(str(path)).passes()) == 3
+    assert all(0 < line["validation_e_a"] < 90 for line in logged(tmp_path / "run"))
+
+
+def sphere_edge() -> float:
+    return clean(sphere()).noise.mean_edge
+
+
+def test_a_run_on_scans_learns_from_scans_of_the_shapes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_small_shapes(monkeypatch)
+    monkeypatch.setattr(corpus_module, "N_VALIDATION", 4)
+    recipe = replace(RECIPE, name="scan", data="scans", n_scans=2, pool_size=1)
+    corpus = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans")
+    again = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans")
+    assert len(corpus.shapes) == 2
+    kinds = [mesh.shape.name.split("-")[1] for mesh in corpus.validation]
+    assert kinds == ["kinect1", "kinect2", "fusion", "print"]
+    for mesh, same in zip(corpus.validation, again.validation, strict=True):
+        assert np.array_equal(mesh.vertices, same.vertices)
+        angles = _geom.normal_angles(
+            _geom.face_geometry(mesh.vertices, mesh.shape.faces)[0], mesh.shape.normals
+        )
+        assert 3 < np.nanmean(angles) < 45
+    assert len(list((tmp_path / "scans").glob("*.npz"))) == 6
+    small = replace(corpus, validation=corpus.validation[3:4])
+    path = TrainingRun(tmp_path / "run", recipe, small, validate_every=5).run()
+    assert path.name == "scan.safetensors"
+    assert len(load_cascade(str(path)).passes()) == 3
+    with pytest.raises(ConfigError, match="n_scans of recipe scan is 0, allowed: 1 or more"):
+        scanned_corpus(replace(recipe, n_scans=0), tmp_path, None, tmp_path / "scans")
+
+
+def test_the_scan_recipe_is_the_defaults_networks_on_scans() -> None:
+    scan, default = get_recipe("scan"), get_recipe("default")
+    assert [s.stage for s in scan.stages] == [s.stage for s in default.stages]
+    assert (scan.data, default.data) == ("scans", "noise")
+    assert scan.n_scans > 100
