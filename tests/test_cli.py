@@ -15,8 +15,10 @@ import pytest
 import trimesh
 
 from gcnd.cli import main
+from gcnd.controls import Controls
 from gcnd.errors import ConfigError, GcndError
-from gcnd.mesh_io import load, save
+from gcnd.mesh_io import load, save, to_arrays
+from gcnd.runs import Denoised
 
 VERTICES = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -36,23 +38,38 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, module: str, **members: Any) -> No
     monkeypatch.setitem(sys.modules, module, fake)
 
 
-@pytest.fixture
-def denoise_calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    calls: list[dict[str, Any]] = []
+class FakeDenoiser:
+    """Stands in for `gcnd.Denoiser`: moves everything by 1, and remembers what it was asked."""
 
-    def denoise(mesh: trimesh.Trimesh, **options: Any) -> trimesh.Trimesh:
-        calls.append({"mesh": mesh, **options})
+    calls: list[dict[str, Any]]
+    raised: BaseException | None = None
+
+    def __init__(self, preset: str, *, controls: Controls, **options: Any) -> None:
+        self.call = {"preset": preset, **options, **controls.described()}
+
+    def check_confidence(self) -> None:
+        self.call["confidence"] = True
+
+    def run(self, mesh: trimesh.Trimesh, *, progress: Any) -> Denoised:
+        if self.raised is not None:
+            raise self.raised
+        self.calls.append({"mesh": mesh, **self.call})
         for fraction, stage in (
             (0.0, "normals, pass 1 of 2"),
             (0.3, "normals, pass 1 of 2"),
             (0.5, "[bold] 2"),
         ):
-            options["progress"](fraction, stage)
-        clean = mesh.copy()
-        clean.vertices += 1.0
-        return clean
+            progress(fraction, stage)
+        before, rebuild = to_arrays(mesh)
+        after = before.vertices + 1.0
+        confidence = np.linspace(0.0, 1.0, len(mesh.faces))
+        return Denoised(rebuild(after), confidence, before, after, {"normals": 0.25}, {"preset": "default"})
 
-    stand_in(monkeypatch, "gcnd.denoise", denoise=denoise)
+
+@pytest.fixture
+def denoise_calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    calls: list[dict[str, Any]] = []
+    stand_in(monkeypatch, "gcnd.denoise", Denoiser=type("Fake", (FakeDenoiser,), {"calls": calls}))
     return calls
 
 
@@ -70,24 +87,30 @@ def test_denoise_passes_every_option_on(
 ) -> None:
     out = mesh_path.with_name("out.obj")
     options = ["--preset", "paper", "--device", "cuda", "--seed", "7"]
-    options += ["--normal-iterations", "4", "--vertex-iterations", "3"]
+    options += ["--normal-iterations", "4", "--vertex-iterations", "3", "--strength", "0.5"]
+    options += ["--max-displacement", "0.2", "--max-displacement-edges", "3", "--keep", "region"]
+    options += ["--preserve-volume"]
     assert main(["denoise", str(mesh_path), str(out), *options]) == 0
     (call,) = denoise_calls
     assert np.array_equal(call.pop("mesh").vertices, VERTICES)
-    call.pop("progress")
     assert call == {
         "preset": "paper",
         "device": "cuda",
         "seed": 7,
         "normal_iterations": 4,
         "vertex_iterations": 3,
+        "strength": 0.5,
+        "max_displacement": 0.2,
+        "max_displacement_edges": 3.0,
+        "keep": "region",
+        "preserve_volume": True,
     }
     assert np.array_equal(load(out).vertices, VERTICES + 1.0)
     printed = capsys.readouterr()
     assert printed.out == ""
     stages = printed.err.splitlines()
-    assert stages[:2] == ["normals, pass 1 of 2 (0% done)", "[bold] 2 (50% done)"]
-    assert stages[2].startswith(f"wrote {out}: 4 faces in ")
+    assert stages[:3] == ["starting (0% done)", "normals, pass 1 of 2 (0% done)", "[bold] 2 (50% done)"]
+    assert stages[3].startswith(f"wrote {out}: 4 faces in ")
 
 
 def test_denoise_defaults(mesh_path: Path, denoise_calls: list[dict[str, Any]]) -> None:
@@ -95,6 +118,7 @@ def test_denoise_defaults(mesh_path: Path, denoise_calls: list[dict[str, Any]]) 
     (call,) = denoise_calls
     assert (call["preset"], call["device"], call["seed"]) == ("default", "cpu", 0)
     assert (call["normal_iterations"], call["vertex_iterations"]) == (None, None)
+    assert {name: call[name] for name in Controls().described()} == Controls().described()
 
 
 def test_quiet_prints_nothing(
@@ -188,10 +212,7 @@ def test_errors_are_told_without_a_traceback(
     code: int,
     told: str,
 ) -> None:
-    def denoise(*_: Any, **__: Any) -> None:
-        raise raised
-
-    stand_in(monkeypatch, "gcnd.denoise", denoise=denoise)
+    stand_in(monkeypatch, "gcnd.denoise", Denoiser=type("Fake", (FakeDenoiser,), {"raised": raised}))
     out = mesh_path.with_name("out.ply")
     assert main(["denoise", str(mesh_path), str(out), "--quiet"]) == code
     assert capsys.readouterr() == ("", told)
