@@ -109,8 +109,8 @@ def test_denoise_passes_every_option_on(
     printed = capsys.readouterr()
     assert printed.out == ""
     stages = printed.err.splitlines()
-    assert stages[:3] == ["starting (0% done)", "normals, pass 1 of 2 (0% done)", "[bold] 2 (50% done)"]
-    assert stages[3].startswith(f"wrote {out}: 4 faces in ")
+    assert stages[:2] == ["normals, pass 1 of 2 (0% done)", "[bold] 2 (50% done)"]
+    assert stages[2].startswith(f"wrote {out}: 4 faces in ")
 
 
 def test_denoise_defaults(mesh_path: Path, denoise_calls: list[dict[str, Any]]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -68,7 +69,7 @@ def test_every_way_grows_with_the_strength(offset: float) -> None:
     mesh, moved = (VERTICES + offset, FACES), MOVED + offset
     strengths = [0.0, 1e-9, 0.1, 0.25, 0.5, 0.75, 0.9999999, np.nextafter(1.0, 0.0), 1.0]
     ways = [np.abs(steered(Controls(s), moved, mesh) - mesh[0]) for s in strengths]
-    for smaller, larger in zip(ways, ways[1:], strict=False):
+    for smaller, larger in pairwise(ways):
         assert (smaller <= larger).all()
     assert np.allclose(ways[4], 0.5 * ways[-1], atol=1e-12 + 1e-16 * offset)
     assert ways[-1].max() > 0.3 * EDGE

@@ -77,7 +77,7 @@ def denoise_many(
         overwrite: Whether to work again on what is done.
         confidence: Whether files get the confidence by face as an attribute; only PLY can hold it.
         reports: Whether outcomes have a report.
-        progress: Called with (fraction of all, name and stage); returning False cancels all.
+        progress: Called with (fraction of all, the name at work and its number); returning False cancels all.
 
     Returns:
         One outcome a mesh, in order.
@@ -103,12 +103,10 @@ def denoise_many(
     for number, job in enumerate(jobs):
         label = f"{job.name} ({number + 1} of {len(jobs)})"
 
-        def told(
-            fraction: float, stage: str, past: float = past, job: _Job = job, label: str = label
-        ) -> object:
+        def told(fraction: float, _: str, past: float = past, job: _Job = job, label: str = label) -> object:
             if progress is None:
                 return None
-            return progress((past + fraction * job.weight) / whole, f"{label}: {stage}")
+            return progress((past + fraction * job.weight) / whole, label)
 
         if not overwrite and _is_done(job):
             outcomes.append(Outcome(job.name, "skipped", output=job.output))

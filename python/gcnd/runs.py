@@ -19,7 +19,7 @@ from gcnd.stages import Progress, Stages
 __all__ = ["Denoised", "Method", "run_on"]
 
 Move = Callable[[MeshArrays, Stages], tuple[NDArray[np.float64], NDArray[np.float64] | None]]
-"""Takes a mesh with each position once, (V', 3), and returns where its vertices go, and a confidence by face or None."""
+"""Takes a mesh with each position once, (V', 3), and returns where its vertices go, and confidences or None."""
 
 
 @dataclass(frozen=True, eq=False)

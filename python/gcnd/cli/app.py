@@ -10,7 +10,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from gcnd.cli import compare, denoise, evaluate, info, models, noise, train, train_report
-from gcnd.cli.interrupt import EXIT_INTERRUPTED, exit_now, noticing_ctrl_c
+from gcnd.cli.interrupt import EXIT_INTERRUPTED, exit_now, noticing_ctrl_c, own_process
 from gcnd.errors import GcndError
 
 __all__ = ["app", "main", "program"]
@@ -73,6 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def program() -> NoReturn:
     """Runs the command line as a process of its own, which Ctrl-C ends at once."""
+    own_process()
     code = main()
     if code == EXIT_INTERRUPTED:
         exit_now(code)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from gcnd.cli.interrupt import nothing_to_lose
 from gcnd.cli.options import JsonFlag, Seed, print_json
 from gcnd.cli.progress import show_progress
 from gcnd.errors import ConfigError
@@ -164,21 +165,22 @@ def run(
 
 
 def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: bool, as_json: bool) -> None:
-    from gcnd.many import check_confidence_path, write_denoised
-    from gcnd.mesh_io import check_output_path, load
-    from gcnd.report import check_report_path, write_report
+    with nothing_to_lose():
+        from gcnd.many import check_confidence_path, write_denoised
+        from gcnd.mesh_io import check_output_path, load
+        from gcnd.report import check_report_path, write_report
 
-    check_output_path(output_mesh, input_mesh)
-    if request.confidence:
-        check_confidence_path(output_mesh)
-    if request.report is not None:
-        check_report_path(request.report, input_mesh, output_mesh)
-    start = time.perf_counter()
-    # Before torch, which takes seconds to import: a wrong file should be told at once.
-    mesh = load(input_mesh)
+        check_output_path(output_mesh, input_mesh)
+        if request.confidence:
+            check_confidence_path(output_mesh)
+        if request.report is not None:
+            check_report_path(request.report, input_mesh, output_mesh)
+        start = time.perf_counter()
+        # Before torch, which takes seconds to import: a wrong file should be told at once.
+        mesh = load(input_mesh)
+        method = request.method()
     with show_progress(quiet=quiet) as progress:
-        progress(0.0, "starting")
-        done = request.method().run(mesh, progress=progress)
+        done = method.run(mesh, progress=progress)
     writing = time.perf_counter()
     write_denoised(done, output_mesh, confidence=request.confidence)
     seconds = time.perf_counter() - start

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from gcnd.cli.interrupt import nothing_to_lose
 from gcnd.cli.options import print_json
 from gcnd.cli.progress import show_progress
 from gcnd.errors import GcndError, MeshError
@@ -34,21 +35,22 @@ def run_folder(
         quiet: Whether to print nothing but failures.
         as_json: Whether to print the table as JSON on stdout.
     """
-    from gcnd.many import denoise_many
-    from gcnd.report import check_report_path, write_report
+    with nothing_to_lose():
+        from gcnd.many import denoise_many
+        from gcnd.report import check_report_path, write_report
 
-    if output_folder.exists() and not output_folder.is_dir():
-        raise MeshError(
-            f"{output_folder} is a file, and {input_folder} a folder", "name a folder for the results"
-        )
-    if request.report is not None:
-        check_report_path(request.report)
+        if output_folder.exists() and not output_folder.is_dir():
+            raise MeshError(
+                f"{output_folder} is a file, and {input_folder} a folder", "name a folder for the results"
+            )
+        if request.report is not None:
+            check_report_path(request.report)
+        method = request.method()
     with show_progress(quiet=quiet) as progress:
-        progress(0.0, "starting")
         outcomes = denoise_many(
             input_folder,
             output_folder,
-            denoiser=request.method(),
+            denoiser=method,
             overwrite=overwrite,
             confidence=request.confidence,
             reports=request.report is not None,

@@ -11,11 +11,19 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import NoReturn
 
-__all__ = ["EXIT_INTERRUPTED", "check_interrupted", "exit_now", "noticing_ctrl_c"]
+__all__ = [
+    "EXIT_INTERRUPTED",
+    "check_interrupted",
+    "exit_now",
+    "nothing_to_lose",
+    "noticing_ctrl_c",
+    "own_process",
+]
 
 EXIT_INTERRUPTED = 130
 
 _interrupted = threading.Event()
+_owns_process = threading.Event()
 
 
 @contextmanager
@@ -39,6 +47,28 @@ def noticing_ctrl_c() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, previous)
+
+
+@contextmanager
+def nothing_to_lose() -> Iterator[None]:
+    """Lets Ctrl-C end the process at once while the block runs, as before any work: importing torch holds it for long.
+
+    Only in a process of the command line's own; who calls `main` from a program of theirs gets ``KeyboardInterrupt``.
+    """
+    if not _owns_process.is_set():
+        yield
+        return
+    check_interrupted()
+    previous = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+def own_process() -> None:
+    """Says that the process is the command line's own; to be called from its main thread."""
+    _owns_process.set()
 
 
 def check_interrupted() -> None:
