@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import trimesh  # noqa: F401  what reads meshes takes a second to import: before a run, which must stop sooner than that
 from numpy.typing import NDArray
 
 from gcnd import _geom
