@@ -12,65 +12,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 
+from cli_cases import FACES, VERTICES, FakeDenoiser, replace_denoiser, stand_in, write_mesh
 from gcnd.cli import main
 from gcnd.controls import Controls
 from gcnd.errors import ConfigError, GcndError
-from gcnd.mesh_io import load, save, to_arrays
-from gcnd.runs import Denoised
-
-VERTICES = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+from gcnd.mesh_io import load, save
 
 
 @pytest.fixture
 def mesh_path(tmp_path: Path) -> Path:
-    path = tmp_path / "in.ply"
-    save((VERTICES, FACES), path)
-    return path
-
-
-def stand_in(monkeypatch: pytest.MonkeyPatch, module: str, **members: Any) -> None:
-    """Puts a module of the given members in the place of a real one."""
-    fake = types.ModuleType(module)
-    vars(fake).update(members)
-    monkeypatch.setitem(sys.modules, module, fake)
-
-
-class FakeDenoiser:
-    """Stands in for `gcnd.Denoiser`: moves everything by 1, and remembers what it was asked."""
-
-    calls: list[dict[str, Any]]
-    raised: BaseException | None = None
-
-    def __init__(self, preset: str, *, controls: Controls, **options: Any) -> None:
-        self.call = {"preset": preset, **options, **controls.described()}
-
-    def check_confidence(self) -> None:
-        self.call["confidence"] = True
-
-    def run(self, mesh: trimesh.Trimesh, *, progress: Any) -> Denoised:
-        if self.raised is not None:
-            raise self.raised
-        self.calls.append({"mesh": mesh, **self.call})
-        for fraction, stage in (
-            (0.0, "normals, pass 1 of 2"),
-            (0.3, "normals, pass 1 of 2"),
-            (0.5, "[bold] 2"),
-        ):
-            progress(fraction, stage)
-        before, rebuild = to_arrays(mesh)
-        after = before.vertices + 1.0
-        confidence = np.linspace(0.0, 1.0, len(mesh.faces))
-        return Denoised(rebuild(after), confidence, before, after, {"normals": 0.25}, {"preset": "default"})
+    return write_mesh(tmp_path)
 
 
 @pytest.fixture
 def denoise_calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    calls: list[dict[str, Any]] = []
-    stand_in(monkeypatch, "gcnd.denoise", Denoiser=type("Fake", (FakeDenoiser,), {"calls": calls}))
-    return calls
+    return replace_denoiser(monkeypatch)
 
 
 def run_program(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
@@ -225,6 +182,8 @@ def test_errors_are_told_without_a_traceback(
         ["denoise"],
         ["denoise", "a.ply", "b.ply", "--device", "tpu"],
         ["denoise", "a.ply", "b.ply", "--vertex-iterations", "-1"],
+        ["denoise", "a.ply", "b.ply", "--strength", "1.1"],
+        ["denoise", "a.ply", "b.ply", "--max-displacement", "-1"],
         ["noise", "a.ply", "b.ply"],
         ["noise", "a.ply", "b.ply", "--level", "-0.1"],
         ["noise", "a.ply", "b.ply", "--level", "0.1", "--fraction", "1.5"],
