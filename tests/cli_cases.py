@@ -63,5 +63,5 @@ def write_mesh(folder: Path) -> Path:
 def replace_denoiser(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """Puts a fresh fake in the place of `gcnd.Denoiser`; returns where its calls will be."""
     calls: list[dict[str, Any]] = []
-    stand_in(monkeypatch, "gcnd.denoise", Denoiser=type("Fake", (FakeDenoiser,), {"calls": calls}))
+    stand_in(monkeypatch, "gcnd.denoiser", Denoiser=type("Fake", (FakeDenoiser,), {"calls": calls}))
     return calls

@@ -169,7 +169,7 @@ def test_errors_are_told_without_a_traceback(
     code: int,
     told: str,
 ) -> None:
-    stand_in(monkeypatch, "gcnd.denoise", Denoiser=type("Fake", (FakeDenoiser,), {"raised": raised}))
+    stand_in(monkeypatch, "gcnd.denoiser", Denoiser=type("Fake", (FakeDenoiser,), {"raised": raised}))
     out = mesh_path.with_name("out.ply")
     assert main(["denoise", str(mesh_path), str(out), "--quiet"]) == code
     assert capsys.readouterr() == ("", told)

@@ -16,7 +16,8 @@ from gcnd.errors import Cancelled, ConfigError, GcndError, MeshError, WeightsErr
 
 if TYPE_CHECKING:
     from gcnd.controls import Controls
-    from gcnd.denoise import Denoiser, denoise
+    from gcnd.denoise import denoise
+    from gcnd.denoiser import Denoiser
     from gcnd.many import denoise_many
     from gcnd.metrics import normal_error, vertex_error
 
@@ -39,7 +40,7 @@ __all__ = [
 
 _HOMES = {
     "Controls": "gcnd.controls",
-    "Denoiser": "gcnd.denoise",
+    "Denoiser": "gcnd.denoiser",
     "denoise": "gcnd.denoise",
     "denoise_many": "gcnd.many",
     "normal_error": "gcnd.metrics",

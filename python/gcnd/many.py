@@ -95,7 +95,7 @@ def denoise_many(
     """
     jobs = _jobs(meshes, None if output is None else Path(output))
     if denoiser is None:
-        from gcnd.denoise import Denoiser
+        from gcnd.denoiser import Denoiser
 
         denoiser = Denoiser()
     whole, past = sum(job.weight for job in jobs), 0.0

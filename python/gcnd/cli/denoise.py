@@ -56,7 +56,7 @@ class Request:
             from gcnd.filters import Filter
 
             return Filter(self.settings["method"], controls=controls, **self.options)
-        from gcnd.denoise import Denoiser
+        from gcnd.denoiser import Denoiser
 
         denoiser = Denoiser(**self.settings, **self.options, controls=controls)
         if self.confidence:
