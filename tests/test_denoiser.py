@@ -10,16 +10,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import manifold3d
 import numpy as np
 import pytest
 import torch
 import trimesh
+from scipy.stats import spearmanr
 from torch import nn
 
 import gcnd
 from gcnd import Controls, Denoiser, _geom, denoise
 from gcnd.data.noise import add_noise
 from gcnd.errors import Cancelled, ConfigError, WeightsError
+from gcnd.metrics import normal_angles
 from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, RefinementConfig, StageConfig
 from gcnd.nn.networks import NetworkConfig
 from gcnd.predict import agreement
@@ -156,6 +159,24 @@ def test_confidence_comes_with_the_mesh(preset: str) -> None:
     assert confidence.min() > 0.0
     assert confidence.max() < 1.0
     assert np.ptp(confidence) > 0.01
+
+
+def test_confidence_ranks_the_errors_of_a_machine_part() -> None:
+    # A ball cut by a plane: errors are at its one sharp edge.
+    solid = manifold3d.Manifold.sphere(1.0, 128).trim_by_plane((0.3, 0.2, 1.0), -0.2).to_mesh64()
+    truth, faces = _geom.remesh(
+        np.ascontiguousarray(solid.vert_properties[:, :3], dtype=np.float64),
+        np.ascontiguousarray(solid.tri_verts, dtype=np.uint32),
+        0.065,
+    )
+    noisy = add_noise(truth, faces, level=0.1, seed=1)
+    (vertices, _), confidence = denoise((noisy, faces), preset="fast", confidence=True)
+    errors = normal_angles(vertices, truth, faces)
+    rank = spearmanr(1.0 - confidence, errors).statistic
+    doubtful = errors[confidence <= np.quantile(confidence, 0.1)].mean()
+    print(f"{len(faces)} faces: rank correlation {rank:.2f}, {doubtful:.2f}° of {errors.mean():.2f}°")
+    assert rank > 0.45
+    assert doubtful > 3 * errors.mean()
 
 
 def test_agreement_is_a_mean_over_compared_faces() -> None:
