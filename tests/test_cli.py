@@ -12,48 +12,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 
+from cli_cases import FACES, VERTICES, FakeDenoiser, replace_denoiser, stand_in, write_mesh
 from gcnd.cli import main
+from gcnd.controls import Controls
 from gcnd.errors import ConfigError, GcndError
 from gcnd.mesh_io import load, save
-
-VERTICES = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
 @pytest.fixture
 def mesh_path(tmp_path: Path) -> Path:
-    path = tmp_path / "in.ply"
-    save((VERTICES, FACES), path)
-    return path
-
-
-def stand_in(monkeypatch: pytest.MonkeyPatch, module: str, **members: Any) -> None:
-    """Puts a module of the given members in the place of a real one."""
-    fake = types.ModuleType(module)
-    vars(fake).update(members)
-    monkeypatch.setitem(sys.modules, module, fake)
+    return write_mesh(tmp_path)
 
 
 @pytest.fixture
 def denoise_calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    calls: list[dict[str, Any]] = []
-
-    def denoise(mesh: trimesh.Trimesh, **options: Any) -> trimesh.Trimesh:
-        calls.append({"mesh": mesh, **options})
-        for fraction, stage in (
-            (0.0, "normals, pass 1 of 2"),
-            (0.3, "normals, pass 1 of 2"),
-            (0.5, "[bold] 2"),
-        ):
-            options["progress"](fraction, stage)
-        clean = mesh.copy()
-        clean.vertices += 1.0
-        return clean
-
-    stand_in(monkeypatch, "gcnd.denoise", denoise=denoise)
-    return calls
+    return replace_denoiser(monkeypatch)
 
 
 def run_program(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
@@ -70,17 +44,23 @@ def test_denoise_passes_every_option_on(
 ) -> None:
     out = mesh_path.with_name("out.obj")
     options = ["--preset", "paper", "--device", "cuda", "--seed", "7"]
-    options += ["--normal-iterations", "4", "--vertex-iterations", "3"]
+    options += ["--normal-iterations", "4", "--vertex-iterations", "3", "--strength", "0.5"]
+    options += ["--max-displacement", "0.2", "--max-displacement-edges", "3", "--keep", "region"]
+    options += ["--preserve-volume"]
     assert main(["denoise", str(mesh_path), str(out), *options]) == 0
     (call,) = denoise_calls
     assert np.array_equal(call.pop("mesh").vertices, VERTICES)
-    call.pop("progress")
     assert call == {
         "preset": "paper",
         "device": "cuda",
         "seed": 7,
         "normal_iterations": 4,
         "vertex_iterations": 3,
+        "strength": 0.5,
+        "max_displacement": 0.2,
+        "max_displacement_edges": 3.0,
+        "keep": "region",
+        "preserve_volume": True,
     }
     assert np.array_equal(load(out).vertices, VERTICES + 1.0)
     printed = capsys.readouterr()
@@ -95,6 +75,7 @@ def test_denoise_defaults(mesh_path: Path, denoise_calls: list[dict[str, Any]]) 
     (call,) = denoise_calls
     assert (call["preset"], call["device"], call["seed"]) == ("default", "cpu", 0)
     assert (call["normal_iterations"], call["vertex_iterations"]) == (None, None)
+    assert {name: call[name] for name in Controls().described()} == Controls().described()
 
 
 def test_quiet_prints_nothing(
@@ -188,10 +169,7 @@ def test_errors_are_told_without_a_traceback(
     code: int,
     told: str,
 ) -> None:
-    def denoise(*_: Any, **__: Any) -> None:
-        raise raised
-
-    stand_in(monkeypatch, "gcnd.denoise", denoise=denoise)
+    stand_in(monkeypatch, "gcnd.denoiser", Denoiser=type("Fake", (FakeDenoiser,), {"raised": raised}))
     out = mesh_path.with_name("out.ply")
     assert main(["denoise", str(mesh_path), str(out), "--quiet"]) == code
     assert capsys.readouterr() == ("", told)
@@ -204,6 +182,8 @@ def test_errors_are_told_without_a_traceback(
         ["denoise"],
         ["denoise", "a.ply", "b.ply", "--device", "tpu"],
         ["denoise", "a.ply", "b.ply", "--vertex-iterations", "-1"],
+        ["denoise", "a.ply", "b.ply", "--strength", "1.1"],
+        ["denoise", "a.ply", "b.ply", "--max-displacement", "-1"],
         ["noise", "a.ply", "b.ply"],
         ["noise", "a.ply", "b.ply", "--level", "-0.1"],
         ["noise", "a.ply", "b.ply", "--level", "0.1", "--fraction", "1.5"],

@@ -340,9 +340,15 @@ def test_progress_goes_up_to_one(preset: str) -> None:
     assert fractions[0] == 0.0
     assert calls[-1] == (1.0, "done")
     assert list(dict.fromkeys(label for _, label in calls)) == [
+        "reading",
+        "adjacency",
         "normals, pass 1 of 3",
+        "vertices, pass 1 of 3",
         "normals, pass 2 of 3",
+        "vertices, pass 2 of 3",
         "normals, pass 3 of 3",
+        "vertices, pass 3 of 3",
+        "finishing",
         "done",
     ]
     assert any(0 < fraction < 1 / 3 for fraction in fractions)

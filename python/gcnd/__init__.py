@@ -12,29 +12,39 @@ from importlib.metadata import version as _version
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from gcnd.errors import ConfigError, GcndError, MeshError, WeightsError
+from gcnd.errors import Cancelled, ConfigError, GcndError, MeshError, WeightsError
 
 if TYPE_CHECKING:
+    from gcnd.controls import Controls
     from gcnd.denoise import denoise
+    from gcnd.denoiser import Denoiser
+    from gcnd.many import denoise_many
     from gcnd.metrics import normal_error, vertex_error
     from gcnd.viewer.view import view
 
 __version__ = _version("gcnd")
 
 __all__ = [
+    "Cancelled",
     "ConfigError",
+    "Controls",
+    "Denoiser",
     "GcndError",
     "MeshError",
     "WeightsError",
     "__version__",
     "denoise",
+    "denoise_many",
     "normal_error",
     "vertex_error",
     "view",
 ]
 
 _HOMES = {
+    "Controls": "gcnd.controls",
+    "Denoiser": "gcnd.denoiser",
     "denoise": "gcnd.denoise",
+    "denoise_many": "gcnd.many",
     "normal_error": "gcnd.metrics",
     "vertex_error": "gcnd.metrics",
     "view": "gcnd.viewer.view",

@@ -7,21 +7,20 @@ last → save.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from gcnd import _geom
-from gcnd.errors import check_count
-from gcnd.mesh_io import to_arrays
-from gcnd.predict import fast_precision, predict_normals, refined
-from gcnd.weights import load_cascade
+from gcnd.controls import Controls
+from gcnd.predict import agreement, fast_precision, predict_normals, refined
+from gcnd.stages import Progress, Stages
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     import torch
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from gcnd.nn.cascade import Cascade
     from gcnd.nn.fold import Precision
@@ -36,7 +35,13 @@ def denoise(
     normal_iterations: int | None = None,
     vertex_iterations: int | None = None,
     precision: Precision | None = None,
-    progress: Callable[[float, str], object] | None = None,
+    strength: float = 1.0,
+    max_displacement: float | None = None,
+    max_displacement_edges: float | None = None,
+    keep: ArrayLike | str | None = None,
+    preserve_volume: bool = False,
+    confidence: bool = False,
+    progress: Progress | None = None,
 ) -> Any:
     """Removes noise from a triangle mesh and keeps its features.
 
@@ -54,12 +59,20 @@ def denoise(
         vertex_iterations: Iterations of vertex updating (Eq. 6) after each stage; ``None`` takes the preset's, 15.
         precision: "float32" or "bfloat16" for the network's products; ``None`` takes the fastest that is measured safe
             on the device, see ``gcnd.predict.fast_precision``.
-        progress: Called now and then with (fraction done, what is being done).
+        strength: 0 keeps the input bit for bit, 1 is the full result; every vertex goes that share of its way.
+        max_displacement: No vertex moves further, in mesh units.
+        max_displacement_edges: The same in mean edge lengths; with both, the smaller counts.
+        keep: Vertices left untouched bit for bit: booleans (V,), or the name of a vertex attribute that is not 0 there.
+        preserve_volume: Whether closed bodies keep their volume; other meshes are refused.
+        confidence: Whether to return as well how far overlapping predictions agree on each face.
+        progress: Called now and then with (fraction done, what is being done); returning False cancels.
 
     Returns:
-        The same kind as ``mesh`` (a ``trimesh.Trimesh`` for a path), with float64 positions or the input's dtype.
+        The same kind as ``mesh`` (a ``trimesh.Trimesh`` for a path), with float64 positions or the input's dtype; with
+        ``confidence``, that and an array (F,), 0 to 1.
 
     Raises:
+        Cancelled: ``progress`` returned False; nothing has changed.
         MeshError: The mesh cannot be worked on: no faces, NaN, an index out of range, a file that is not a mesh.
         ConfigError: A parameter is out of range or the preset is unknown.
         WeightsError: The weights cannot be read or do not fit.
@@ -73,25 +86,28 @@ def denoise(
         >>> bool((clean.faces == noisy.faces).all())
         True
     """
-    check_count("seed", seed)
-    check_count("normal_iterations", normal_iterations)
-    check_count("vertex_iterations", vertex_iterations)
-    arrays, rebuild = to_arrays(mesh)
-    _geom.validate(arrays.vertices, arrays.faces)
-    cascade = load_cascade(preset, device)
-    mesh_once, ids = arrays.welded()
-    vertices = denoise_arrays(
-        mesh_once.vertices,
-        mesh_once.faces,
-        cascade,
+    from gcnd.denoiser import Denoiser  # which runs the line below
+
+    denoiser = Denoiser(
+        preset,
         device=device,
         seed=seed,
         normal_iterations=normal_iterations,
         vertex_iterations=vertex_iterations,
         precision=precision,
-        progress=progress,
+        controls=Controls(strength, max_displacement, max_displacement_edges, keep, preserve_volume),
     )
-    return rebuild(vertices[ids])
+    if confidence:
+        denoiser.check_confidence()
+    done = denoiser.run(mesh, progress=progress)
+    return (done.mesh, done.confidence) if confidence else done.mesh
+
+
+class Cleaned(NamedTuple):
+    """Denoised positions (V, 3), mesh units, and how far the last pass's predictions agree (F,), if they overlap."""
+
+    vertices: NDArray[np.float64]
+    confidence: NDArray[np.float64] | None
 
 
 def denoise_arrays(
@@ -104,23 +120,51 @@ def denoise_arrays(
     normal_iterations: int | None = None,
     vertex_iterations: int | None = None,
     precision: Precision | None = None,
-    progress: Callable[[float, str], object] | None = None,
+    progress: Progress | None = None,
 ) -> NDArray[np.float64]:
+    """Runs a cascade over arrays and returns denoised positions (V, 3).
+
+    Arguments as of ``clean_arrays``; ``progress`` as of ``denoise``.
+    """
+    stages = Stages(progress)
+    cleaned = clean_arrays(
+        vertices,
+        faces,
+        cascade,
+        device=device,
+        seed=seed,
+        normal_iterations=normal_iterations,
+        vertex_iterations=vertex_iterations,
+        precision=precision,
+        stages=stages,
+    )
+    stages(1.0, "done")
+    return cleaned.vertices
+
+
+def clean_arrays(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.uint32],
+    cascade: Cascade,
+    *,
+    device: torch.device | str,
+    seed: int,
+    normal_iterations: int | None,
+    vertex_iterations: int | None,
+    precision: Precision | None,
+    stages: Stages,
+) -> Cleaned:
     """Runs a cascade over arrays; the line of ``denoise`` between reading and writing.
 
     Args:
         vertices: Positions (V, 3), mesh units, finite, each position once.
         faces: Vertex ids (F, 3).
         cascade: Networks with what they expect of patches.
-        device: Where the cascade's weights are.
-        seed: See ``denoise``.
-        normal_iterations: See ``denoise``.
-        vertex_iterations: See ``denoise``.
-        precision: See ``denoise``.
-        progress: See ``denoise``.
+        device: Where the cascade's weights are; the others as of ``denoise``.
+        stages: Told how far the run has come.
 
     Returns:
-        Denoised positions (V, 3), mesh units.
+        Denoised positions and the confidence.
 
     Paper: Fig. 2; Sec. 6 for what follows the last network.
     """
@@ -133,17 +177,12 @@ def denoise_arrays(
     # Work around the origin: far away from it, single positions keep fewer digits than noise has.
     origin = vertices.mean(axis=0)
     vertices = vertices - origin
+    passes = cascade.passes()
+    stages(0.0, "adjacency")
     topology = _geom.Topology(faces, len(vertices))
     roughness = _geom.mesh_roughness(topology, vertices) if cascade.sees_roughness else None
-    passes = cascade.passes()
     for index, (stage, network) in enumerate(passes):
-        label = f"normals, pass {index + 1} of {len(passes)}"
-
-        def report(fraction: float, index: int = index, label: str = label) -> None:
-            if progress is not None:
-                progress((index + fraction) / len(passes), label)
-
-        report(0.0)
+        number = f"pass {index + 1} of {len(passes)}"
         prediction = predict_normals(
             topology,
             vertices,
@@ -153,12 +192,23 @@ def denoise_arrays(
             roughness=roughness,
             device=device,
             precision=precision,
-            progress=report,
+            progress=_part(stages, index, len(passes), f"normals, {number}"),
         )
-        is_last = index == len(passes) - 1
-        normals = refined(topology, vertices, prediction, refinement) if is_last else prediction.normals
+        normals = prediction.normals
+        stages((index + 1) / len(passes), f"vertices, {number}")
+        if index == len(passes) - 1:
+            normals = refined(topology, vertices, prediction, refinement)
+            stages(1.0, f"vertices, {number}")
         vertices = _geom.update_vertices(topology, vertices, normals, vertex_iterations)
-    if progress is not None:
-        progress(1.0, "done")
-    moved: NDArray[np.float64] = vertices + origin
-    return moved
+    overlaps = passes[-1][0].coverage is not None
+    return Cleaned(vertices + origin, agreement(topology, prediction.spread) if overlaps else None)
+
+
+def _part(stages: Stages, index: int, n_parts: int, label: str) -> Callable[[float], None]:
+    """Turns the fraction done of one part of a run into that of the whole."""
+
+    def report(fraction: float) -> None:
+        stages((index + fraction) / n_parts, label)
+
+    report(0.0)
+    return report

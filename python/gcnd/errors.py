@@ -6,7 +6,7 @@ about it; the command line prints both and shows no traceback.
 
 from __future__ import annotations
 
-__all__ = ["ConfigError", "GcndError", "MeshError", "WeightsError", "check_count"]
+__all__ = ["Cancelled", "ConfigError", "GcndError", "MeshError", "WeightsError", "check_count"]
 
 
 class GcndError(Exception):
@@ -43,6 +43,10 @@ class ConfigError(GcndError, ValueError):
 
 class WeightsError(GcndError):
     """Reports network weights that are missing, damaged or do not fit."""
+
+
+class Cancelled(GcndError):
+    """Reports that a progress callback asked to stop; nothing was written or changed."""
 
 
 def check_count(name: str, value: int | None) -> None:

@@ -8,13 +8,20 @@ from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
 
 from gcnd import _geom
+from gcnd.controls import Controls
 from gcnd.errors import ConfigError, check_count
-from gcnd.mesh_io import to_arrays
+from gcnd.runs import Denoised, run_on
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-__all__ = ["FilterInfo", "apply_filter", "list_filters", "parse_parameters"]
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from gcnd.mesh_io import MeshArrays
+    from gcnd.stages import Progress, Stages
+
+__all__ = ["Filter", "FilterInfo", "apply_filter", "list_filters", "parse_parameters"]
 
 
 @dataclass(frozen=True)
@@ -71,7 +78,12 @@ def list_filters() -> list[FilterInfo]:
 
 
 def apply_filter(
-    mesh: Any, method: str, *, progress: Callable[[float, str], object] | None = None, **parameters: Any
+    mesh: Any,
+    method: str,
+    *,
+    controls: Controls | None = None,
+    progress: Progress | None = None,
+    **parameters: Any,
 ) -> Any:
     """Removes noise from a triangle mesh by a classical filter.
 
@@ -81,8 +93,9 @@ def apply_filter(
     Args:
         mesh: A ``trimesh.Trimesh``, a pair (vertices (V, 3), faces (F, 3)) of numpy or torch arrays, or a path.
         method: Name of the filter; ``list_filters`` has them.
-        progress: Called after each iteration with (fraction done, the filter's name); what it raises stops the
-            filter.
+        controls: How much of the result is wanted, and where; all of it, everywhere, by default.
+        progress: Called after each iteration with (fraction done, the filter's name); returning False cancels, and
+            what it raises stops the filter too.
         parameters: Of the filter, as ``list_filters`` has them; lengths in mesh units. What Python keeps for itself
             has an underscore: ``lambda_``.
 
@@ -93,6 +106,7 @@ def apply_filter(
         MeshError: The mesh cannot be worked on: no faces, NaN, an index out of range, a file that is not a mesh.
         ConfigError: The filter or a parameter is unknown, or a parameter is out of range.
         GcndError: The filter diverged.
+        Cancelled: ``progress`` returned False.
 
     Example:
         >>> import trimesh
@@ -101,22 +115,39 @@ def apply_filter(
         >>> bool((clean.faces == noisy.faces).all())
         True
     """
-    function = _find(method)
-    options = _checked(method, _defaults(function), parameters)
-    arrays, rebuild = to_arrays(mesh)
-    _geom.validate(arrays.vertices, arrays.faces)
-    mesh_once, ids = arrays.welded()
-    vertices = mesh_once.vertices
-    # Work around the origin: far away from it, single positions keep fewer digits than noise has.
-    origin = vertices.mean(axis=0)
-    topology = _geom.Topology(mesh_once.faces, len(vertices))
+    return Filter(method, controls=controls, **parameters).run(mesh, progress=progress).mesh
 
-    def report(iteration: int, total: int) -> None:
-        if progress is not None:
-            progress(iteration / total, method)
 
-    moved = function(topology, vertices - origin, progress=report, **options) + origin
-    return rebuild(moved[ids])
+class Filter:
+    """Holds a filter with its parameters, for more than one mesh; arguments and errors as of ``apply_filter``.
+
+    Example:
+        >>> import trimesh
+        >>> done = Filter("taubin", iterations=3).run(trimesh.creation.icosphere(subdivisions=2))
+        >>> done.method["filter"], done.method["parameters"]["iterations"], len(done.mesh.faces)
+        ('taubin', 3, 320)
+    """
+
+    def __init__(self, method: str, *, controls: Controls | None = None, **parameters: Any) -> None:
+        self.method, self.controls = method, controls or Controls()
+        self.parameters = _checked(method, _defaults(_find(method)), parameters)
+
+    def run(self, mesh: Any, *, progress: Progress | None = None) -> Denoised:
+        """Filters one mesh and returns all that is known of the result."""
+
+        def move(mesh: MeshArrays, stages: Stages) -> tuple[NDArray[np.float64], None]:
+            # Work around the origin: far away from it, single positions keep fewer digits than noise has.
+            origin = mesh.vertices.mean(axis=0)
+            topology = _geom.Topology(mesh.faces, len(mesh.vertices))
+
+            def report(iteration: int, total: int) -> None:
+                stages(iteration / total, self.method)
+
+            moved = _find(self.method)(topology, mesh.vertices - origin, progress=report, **self.parameters)
+            return moved + origin, None
+
+        parameters = {**_defaults(_find(self.method)), **self.parameters}
+        return run_on(mesh, move, self.controls, {"filter": self.method, "parameters": parameters}, progress)
 
 
 def parse_parameters(method: str, texts: Mapping[str, str]) -> dict[str, bool | int | float]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from threading import Barrier
+from threading import Barrier, Lock
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
 
 from gcnd import _geom
+from gcnd.neighbors import sum_across_edges
 from gcnd.nn.cascade import PatchConfig, RefinementConfig, StageConfig
 from gcnd.nn.fold import Precision, for_inference
 
@@ -40,6 +41,12 @@ COVER_STEP, COVER_SHARE = 256, 50
 
 EVERY_FACE_STEP = 4096
 """Faces at a time where every face has a patch: bounds memory."""
+
+_STARTING = Lock()
+"""Held while the threads of a prediction start."""
+
+_SINGLE = 1e-6
+"""Spread in radians up to which there was one prediction; two never agree so well, and one leaves rounding."""
 
 
 class Prediction(NamedTuple):
@@ -141,7 +148,8 @@ def predict_normals(
             ``vertices``.
         device: Where the network's weights are.
         precision: Of the network's linear layers and of what passes between them.
-        progress: Called with the fraction done.
+        progress: Called with the fraction done, after every batch of patches; what it raises ends the prediction and
+            its threads.
 
     Returns:
         Normals and their spread.
@@ -158,14 +166,40 @@ def predict_normals(
     with PatchPredictor(
         extractor, for_inference(network.eval(), precision), stage, torch.device(device)
     ) as predictor:
+        fraction = 0.0
         for done, centers in chosen:
             for prediction in predictor.predict(centers):
                 _add(accumulator, prediction, stage)
-            if progress is not None:
-                progress(done)
+                # After every batch, so that who wants to stop need not wait for the whole step.
+                if progress is not None:
+                    progress(fraction)
+            fraction = done
     if progress is not None:
         progress(1.0)
     return Prediction(accumulator.normals(extractor.normals()), accumulator.spread())
+
+
+def agreement(topology: _geom.Topology, spread: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Says how far the overlapping predictions around each face agree.
+
+    c_f = 1 − s̄_f/√2, s̄_f the mean spread over f and the faces across its edges that have more than one prediction.
+
+    Args:
+        topology: Adjacency of the mesh.
+        spread: Of the predictions for each face (F,), as ``Prediction`` has it.
+
+    Returns:
+        (F,), 1 where all agree; 0 where there are no two predictions to compare.
+
+    Choice: docs/choices.md#confidence.
+    """
+    is_compared = (spread > _SINGLE).astype(np.float64)
+    total = is_compared * spread
+    total = total + sum_across_edges(topology, total)
+    count = is_compared + sum_across_edges(topology, is_compared)
+    mean = np.divide(total, count, out=np.full(topology.n_faces, np.sqrt(2.0)), where=count > 0)
+    confidence: NDArray[np.float64] = np.clip(1.0 - mean / np.sqrt(2.0), 0.0, 1.0)
+    return confidence
 
 
 def refined(
@@ -217,9 +251,7 @@ class PatchPredictor:
     ):
         self.extractor, self.network, self.patch, self.device = extractor, network, stage.patch, device
         self.batch = max(1, PATCH_NODES_A_BATCH[device.type] // stage.patch.n_nodes)
-        self.pool = (
-            _single_threads(torch.get_num_threads()) if device.type == "cpu" else ThreadPoolExecutor(1)
-        )
+        self.pool = _single_threads() if device.type == "cpu" else ThreadPoolExecutor(1)
 
     def __enter__(self) -> PatchPredictor:
         return self
@@ -248,15 +280,26 @@ def _one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def _single_threads(n_threads: int) -> ThreadPoolExecutor:
-    """Starts threads in which torch's operations run on one thread each; elsewhere they run on as many as before."""
-    ready = Barrier(n_threads + 1)
-    pool = ThreadPoolExecutor(n_threads, initializer=_one_thread)
-    for _ in range(n_threads):
-        pool.submit(ready.wait)
-    ready.wait()
-    # The setting is a thread's own, but threads that have none yet take it over from whoever set it last.
-    torch.set_num_threads(n_threads)
+def _single_threads() -> ThreadPoolExecutor:
+    """Starts threads in which torch's operations run on one thread each, as many as torch has; elsewhere they run on
+    as many as before."""
+    # One caller at a time: a thread new to torch would take over the one thread that another's workers set.
+    with _STARTING:
+        n_threads = torch.get_num_threads()
+        ready = Barrier(n_threads + 1)
+        pool = ThreadPoolExecutor(n_threads, initializer=_one_thread)
+        try:
+            for _ in range(n_threads):
+                pool.submit(ready.wait)
+            ready.wait()
+        except BaseException:
+            # Ctrl-C: nobody else would free those that wait, and the process would never end.
+            ready.abort()
+            pool.shutdown(cancel_futures=True)
+            raise
+        finally:
+            # The setting is a thread's own, but threads that have none yet take it over from whoever set it last.
+            torch.set_num_threads(n_threads)
     return pool
 
 

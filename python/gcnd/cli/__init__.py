@@ -5,6 +5,6 @@ Each command lives in its own module and imports what it needs when it runs, so 
 
 from __future__ import annotations
 
-from gcnd.cli.app import app, main
+from gcnd.cli.app import app, main, program
 
-__all__ = ["app", "main"]
+__all__ = ["app", "main", "program"]

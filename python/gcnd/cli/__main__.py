@@ -1,8 +1,6 @@
 """Runs the command line as `python -m gcnd.cli`."""
 
-import sys
-
-from gcnd.cli import main
+from gcnd.cli import program
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

@@ -5,14 +5,15 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
 from gcnd.cli import compare, denoise, evaluate, info, models, noise, train, train_report, view
+from gcnd.cli.interrupt import EXIT_INTERRUPTED, exit_now, noticing_ctrl_c, own_process
 from gcnd.errors import GcndError
 
-__all__ = ["app", "main"]
+__all__ = ["app", "main", "program"]
 
 app = typer.Typer(
     name="gcnd",
@@ -32,7 +33,7 @@ app.command("train")(train.run)
 app.command("train-report")(train_report.run)
 app.command("view")(view.run)
 
-_EXIT_ERROR, _EXIT_INTERRUPTED = 1, 130
+_EXIT_ERROR = 1
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -50,7 +51,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     try:
         try:
-            app(args=None if argv is None else list(argv), prog_name="gcnd")
+            with noticing_ctrl_c():
+                app(args=None if argv is None else list(argv), prog_name="gcnd")
         except SystemExit as done:
             sys.stdout.flush()
             return done.code if isinstance(done.code, int) else int(done.code is not None)
@@ -66,8 +68,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     except MemoryError:
         return _tell("out of memory", "close other programs, or use a machine with more memory")
     except KeyboardInterrupt:
-        return _EXIT_INTERRUPTED
+        return EXIT_INTERRUPTED
     return 0
+
+
+def program() -> NoReturn:
+    """Runs the command line as a process of its own, which Ctrl-C ends at once."""
+    own_process()
+    code = main()
+    if code == EXIT_INTERRUPTED:
+        exit_now(code)
+    sys.exit(code)
 
 
 def _tell(message: str, hint: str | None = None) -> int:

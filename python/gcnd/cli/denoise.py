@@ -1,19 +1,25 @@
-"""`gcnd denoise`: one noisy mesh in, one clean mesh out."""
+"""`gcnd denoise`: one noisy mesh in, one clean mesh out; or a folder of them."""
 
 from __future__ import annotations
 
 import sys
 import time
+from dataclasses import dataclass
 from enum import Enum
-from typing import Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gcnd.cli.options import InputMesh, JsonFlag, OutputMesh, Seed, print_json
-from gcnd.cli.progress import ProgressCallback, show_progress
+from gcnd.cli.interrupt import nothing_to_lose
+from gcnd.cli.options import JsonFlag, Seed, print_json
+from gcnd.cli.progress import show_progress
 from gcnd.errors import ConfigError
 
-__all__ = ["run"]
+if TYPE_CHECKING:
+    from gcnd.runs import Method
+
+__all__ = ["Request", "run"]
 
 
 class Device(str, Enum):
@@ -23,9 +29,52 @@ class Device(str, Enum):
     CUDA = "cuda"
 
 
+@dataclass(frozen=True)
+class Request:
+    """What the command line asked for.
+
+    Attributes:
+        settings: Of the preset or the filter, as they are printed.
+        options: What `Denoiser` or `Filter` takes besides the controls.
+        controls: What `Controls` takes.
+        confidence: Whether to write the confidence by face.
+        report: Where to write the report, or None.
+    """
+
+    settings: dict[str, Any]
+    options: dict[str, Any]
+    controls: dict[str, Any]
+    confidence: bool
+    report: Path | None
+
+    def method(self) -> Method:
+        """Makes ready what runs; torch is imported for a preset only."""
+        from gcnd.controls import Controls
+
+        controls = Controls(**self.controls)
+        if "method" in self.settings:
+            from gcnd.filters import Filter
+
+            return Filter(self.settings["method"], controls=controls, **self.options)
+        from gcnd.denoiser import Denoiser
+
+        denoiser = Denoiser(**self.settings, **self.options, controls=controls)
+        if self.confidence:
+            denoiser.check_confidence()
+        return denoiser
+
+
 def run(
-    input_mesh: InputMesh,
-    output_mesh: OutputMesh,
+    input_path: Annotated[
+        Path,
+        typer.Argument(metavar="IN", help="Mesh file (.ply, .obj, .stl, .off, .glb), or a folder of them."),
+    ],
+    output_path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT", help="File to write, its extension gives the format; for a folder, a folder."
+        ),
+    ],
     preset: Annotated[str, typer.Option(help="Weights and settings; see `gcnd models`.")] = "default",
     device: Annotated[Device, typer.Option(help="Where the network runs.")] = Device.CPU,
     seed: Seed = 0,
@@ -49,31 +98,96 @@ def run(
             metavar="NAME=VALUE", help="A parameter of the filter; may be repeated.", show_default=False
         ),
     ] = None,
+    strength: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of the result: 0 keeps the input, 1 is all of it.")
+    ] = 1.0,
+    max_displacement: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="No vertex moves further, in mesh units.", show_default=False),
+    ] = None,
+    max_displacement_edges: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="No vertex moves further, in mean edge lengths.", show_default=False),
+    ] = None,
+    keep: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ATTRIBUTE",
+            help="Leave vertices untouched where this vertex attribute is not 0.",
+            show_default=False,
+        ),
+    ] = None,
+    preserve_volume: Annotated[
+        bool, typer.Option("--preserve-volume", help="Keep the volume of closed meshes.")
+    ] = False,
+    confidence: Annotated[
+        bool,
+        typer.Option("--confidence", help="Write how far predictions agree, as a face attribute (PLY)."),
+    ] = False,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write what ran and what it changed, as JSON.", show_default=False),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="For a folder: work again on what is done.")
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Remove the noise of IN and write the result to OUT."""
-    from gcnd.mesh_io import check_output_path, load, save
-
-    check_output_path(output_mesh, input_mesh)
     iterations = {"normal_iterations": normal_iterations, "vertex_iterations": vertex_iterations}
     settings: dict[str, Any]
     if method is None:
         if param:
             raise ConfigError("--param is for filters", hint="name a filter with --method")
-        settings = {"preset": preset, "device": device.value, "seed": seed}
-        options = iterations
+        settings, options = {"preset": preset, "device": device.value, "seed": seed}, dict(iterations)
     else:
         if preset != "default":
             raise ConfigError("--preset and --method exclude each other", hint="give one of the two")
+        if confidence:
+            raise ConfigError("--confidence is for presets: filters predict nothing")
         options = _filter_options(method, param or [], iterations)
         settings = {"method": method, "parameters": options}
-    start = time.perf_counter()
-    mesh = load(input_mesh)
+    controls = {
+        "strength": strength,
+        "max_displacement": max_displacement,
+        "max_displacement_edges": max_displacement_edges,
+        "keep": keep,
+        "preserve_volume": preserve_volume,
+    }
+    request = Request(settings, options, controls, confidence, report)
+    if input_path.is_dir():
+        from gcnd.cli.denoise_folder import run_folder
+
+        run_folder(input_path, output_path, request, overwrite=overwrite, quiet=quiet, as_json=as_json)
+    else:
+        _run_file(input_path, output_path, request, quiet=quiet, as_json=as_json)
+
+
+def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: bool, as_json: bool) -> None:
+    with nothing_to_lose():
+        from gcnd.many import check_confidence_path, write_denoised
+        from gcnd.mesh_io import check_output_path, load
+        from gcnd.report import check_report_path, write_report
+
+        check_output_path(output_mesh, input_mesh)
+        if request.confidence:
+            check_confidence_path(output_mesh)
+        if request.report is not None:
+            check_report_path(request.report, input_mesh, output_mesh)
+        start = time.perf_counter()
+        # Before torch, which takes seconds to import: a wrong file should be told at once.
+        mesh = load(input_mesh)
+        method = request.method()
     with show_progress(quiet=quiet) as progress:
-        result = _denoised(mesh, method, settings, options, progress)
-    save(result, output_mesh)
+        done = method.run(mesh, progress=progress)
+    writing = time.perf_counter()
+    write_denoised(done, output_mesh, confidence=request.confidence)
     seconds = time.perf_counter() - start
+    if request.report is not None:
+        done.seconds["writing"] = time.perf_counter() - writing
+        files = {"input": str(input_mesh), "output": str(output_mesh)}
+        write_report(request.report, files | done.report())
     if as_json:
         print_json(
             {
@@ -81,29 +195,12 @@ def run(
                 "output": str(output_mesh),
                 "vertices": len(mesh.vertices),
                 "faces": len(mesh.faces),
-                **settings,
+                **request.settings,
                 "seconds": round(seconds, 3),
             }
         )
     elif not quiet:
         print(f"wrote {output_mesh}: {len(mesh.faces):,} faces in {seconds:.1f} s", file=sys.stderr)
-
-
-def _denoised(
-    mesh: Any,
-    method: str | None,
-    settings: dict[str, Any],
-    options: dict[str, Any],
-    progress: ProgressCallback,
-) -> Any:
-    if method is not None:
-        from gcnd.filters import apply_filter
-
-        return apply_filter(mesh, method, progress=progress, **options)
-    # After loading: torch takes seconds to import, and a wrong file should be told at once.
-    from gcnd.denoise import denoise
-
-    return denoise(mesh, **settings, **options, progress=progress)
 
 
 def _filter_options(method: str, texts: list[str], iterations: dict[str, int | None]) -> dict[str, Any]:

@@ -6,6 +6,8 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from gcnd.cli.interrupt import check_interrupted
+
 __all__ = ["ProgressCallback", "show_progress"]
 
 ProgressCallback = Callable[[float, str], None]
@@ -23,12 +25,22 @@ def show_progress(*, quiet: bool) -> Iterator[ProgressCallback]:
         The function to call with the fraction done and the stage.
     """
     if quiet:
-        yield lambda fraction, stage: None
+        yield _checking(lambda fraction, stage: None)
     elif sys.stderr.isatty():
         with _bar() as callback:
-            yield callback
+            yield _checking(callback)
     else:
-        yield _stage_printer()
+        yield _checking(_stage_printer())
+
+
+def _checking(callback: ProgressCallback) -> ProgressCallback:
+    """The callback, which also stops what calls it once Ctrl-C came."""
+
+    def told(fraction: float, stage: str) -> None:
+        check_interrupted()
+        callback(fraction, stage)
+
+    return told
 
 
 @contextmanager

@@ -69,6 +69,33 @@ def list_models() -> list[ModelInfo]:
     return models
 
 
+def find_weights(preset: str) -> Path:
+    """Finds the file of a preset.
+
+    Args:
+        preset: A shipped name, or the path of a file with the ending ``.safetensors``.
+
+    Raises:
+        ConfigError: No such preset.
+        WeightsError: No such file.
+    """
+    is_path = str(preset).endswith(".safetensors")
+    if not is_path and preset not in _SHIPPED:
+        raise ConfigError(
+            f"unknown preset {preset!r}, allowed: {', '.join(_SHIPPED)} or the path of a .safetensors file",
+            hint="`gcnd models` lists the presets",
+        )
+    path = Path(preset) if is_path else _FOLDER / f"{preset}.safetensors"
+    if not path.is_file():
+        raise WeightsError(f"no such weights file: {path}", hint=None if is_path else "reinstall gcnd")
+    return path
+
+
+def weights_hash(preset: str) -> str:
+    """Returns the SHA-256 of a preset's file, in hexadecimal; arguments and errors as in ``find_weights``."""
+    return hashlib.sha256(find_weights(preset).read_bytes()).hexdigest()
+
+
 def load_cascade(preset: str, device: torch.device | str = "cpu") -> Cascade:
     """Loads a cascade in its inference form: evaluation mode, BatchNorm folded in.
 
@@ -86,14 +113,8 @@ def load_cascade(preset: str, device: torch.device | str = "cpu") -> Cascade:
 
 def load_trainable(preset: str) -> Cascade:
     """Loads a cascade as it was trained, BatchNorm apart; arguments and errors as in ``load_cascade``."""
-    is_path = str(preset).endswith(".safetensors")
-    path = Path(preset) if is_path else _FOLDER / f"{preset}.safetensors"
-    if not is_path and preset not in _SHIPPED:
-        raise ConfigError(
-            f"unknown preset {preset!r}, allowed: {', '.join(_SHIPPED)} or the path of a .safetensors file",
-            hint="`gcnd models` lists the presets",
-        )
-    if not is_path:
+    path = find_weights(preset)
+    if preset in _SHIPPED:
         _check_hash(path, _load_card(preset)["sha256"])
     tensors, header = load_tensors(path)
     cascade = Cascade(_cascade_config(path, header))
@@ -153,8 +174,6 @@ def load_config(header: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_hash(path: Path, expected: str) -> None:
-    if not path.is_file():
-        raise WeightsError(f"no such weights file: {path}", hint="reinstall gcnd")
     if hashlib.sha256(path.read_bytes()).hexdigest() != expected:
         raise WeightsError(
             f"{path} does not have the hash that its card states", hint="reinstall gcnd: the file is damaged"
@@ -172,4 +191,13 @@ def _check_layout(path: Path, cascade: Cascade, tensors: dict[str, Any]) -> None
             )
 
 
-__all__ = ["ModelInfo", "checked_device", "list_models", "load_cascade", "load_header", "save_cascade"]
+__all__ = [
+    "ModelInfo",
+    "checked_device",
+    "find_weights",
+    "list_models",
+    "load_cascade",
+    "load_header",
+    "save_cascade",
+    "weights_hash",
+]

@@ -1,0 +1,94 @@
+"""`gcnd denoise` on a folder: one bar for all, and a table of what became of each file."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from gcnd.cli.interrupt import nothing_to_lose
+from gcnd.cli.options import print_json
+from gcnd.cli.progress import show_progress
+from gcnd.errors import GcndError, MeshError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from gcnd.cli.denoise import Request
+    from gcnd.many import Outcome
+
+__all__ = ["run_folder"]
+
+
+def run_folder(
+    input_folder: Path, output_folder: Path, request: Request, *, overwrite: bool, quiet: bool, as_json: bool
+) -> None:
+    """Denoises a folder, prints a table, and leaves with exit code 1 if a file failed.
+
+    Args:
+        input_folder: Searched with its subfolders.
+        output_folder: Gets the results under the same names; made where missing.
+        request: What the command line asked for.
+        overwrite: Whether to work again on what is done.
+        quiet: Whether to print nothing but failures.
+        as_json: Whether to print the table as JSON on stdout.
+    """
+    with nothing_to_lose():
+        from gcnd.many import denoise_many
+        from gcnd.report import check_report_path, write_report
+
+        if output_folder.exists() and not output_folder.is_dir():
+            raise MeshError(
+                f"{output_folder} is a file, and {input_folder} a folder", "name a folder for the results"
+            )
+        if request.report is not None:
+            check_report_path(request.report)
+        method = request.method()
+    with show_progress(quiet=quiet) as progress:
+        outcomes = denoise_many(
+            input_folder,
+            output_folder,
+            denoiser=method,
+            overwrite=overwrite,
+            confidence=request.confidence,
+            reports=request.report is not None,
+            progress=progress,
+        )
+    if request.report is not None:
+        write_report(request.report, [_row(outcome) | {"report": outcome.report} for outcome in outcomes])
+    failed = sum(outcome.status == "failed" for outcome in outcomes)
+    if as_json:
+        print_json({"settings": request.settings, "files": [_row(outcome) for outcome in outcomes]})
+    elif failed or not quiet:
+        _print_table(outcomes if not quiet else [o for o in outcomes if o.status == "failed"])
+        counts = [
+            (status, sum(o.status == status for o in outcomes)) for status in ("done", "skipped", "failed")
+        ]
+        print(", ".join(f"{count} {status}" for status, count in counts), file=sys.stderr)
+    if failed:
+        raise typer.Exit(1)
+
+
+def _row(outcome: Outcome) -> dict[str, object]:
+    return {
+        "name": outcome.name,
+        "status": outcome.status,
+        "seconds": round(outcome.seconds, 3),
+        "output": None if outcome.output is None else str(outcome.output),
+        "error": None if outcome.error is None else _told(outcome.error),
+    }
+
+
+def _told(error: Exception) -> str:
+    # gcnd's own errors say all; of any other the type is part of what went wrong.
+    return str(error) if isinstance(error, GcndError) else f"{type(error).__name__}: {error}"
+
+
+def _print_table(outcomes: Sequence[Outcome]) -> None:
+    """Prints a line a file on stderr: status, seconds, name, and why it failed."""
+    for outcome in outcomes:
+        seconds = "" if outcome.status == "skipped" else f"{outcome.seconds:.1f} s"
+        why = "" if outcome.error is None else f": {_told(outcome.error)}"
+        print(f"{outcome.status:<8}{seconds:>9}  {outcome.name}{why}", file=sys.stderr)

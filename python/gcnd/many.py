@@ -1,0 +1,227 @@
+"""Many meshes, one after the other: what is done is skipped, what fails does not stop the rest."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from gcnd.errors import Cancelled, ConfigError
+from gcnd.mesh_io import SUPPORTED, check_output_path, load, save
+from gcnd.runs import Denoised, Method
+from gcnd.stages import Progress
+
+__all__ = ["Outcome", "check_confidence_path", "denoise_many", "mesh_files", "write_denoised"]
+
+Folder: TypeAlias = "str | os.PathLike[str]"
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Says what became of one mesh of many.
+
+    Attributes:
+        name: Of the file, relative to the folder where one was given; of a mesh, its place in the list.
+        status: "done", "skipped" for a result that was there already, or "failed".
+        seconds: Wall-clock seconds, reading and writing included.
+        error: Why it failed, or None.
+        output: The file that was written or was there, or None.
+        denoised: What was found; None where it was written to a file, so that meshes do not pile up in memory.
+        report: What ran and what it changed, where asked for.
+    """
+
+    name: str
+    status: Literal["done", "skipped", "failed"]
+    seconds: float = 0.0
+    error: Exception | None = None
+    output: Path | None = None
+    denoised: Denoised | None = None
+    report: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    name: str
+    mesh: Any
+    output: Path | None
+    weight: float
+
+
+def denoise_many(
+    meshes: Folder | Iterable[Any],
+    output: Folder | None = None,
+    *,
+    denoiser: Method | None = None,
+    overwrite: bool = False,
+    confidence: bool = False,
+    reports: bool = False,
+    progress: Progress | None = None,
+) -> list[Outcome]:
+    """Denoises many meshes, one after the other, and says of each what became of it.
+
+    A mesh that fails does not stop the others. With an output folder, a result that is there and not older than its
+    input is skipped, so that a stopped run goes on where it was; results are written whole or not at all.
+
+    Args:
+        meshes: A folder, searched with its subfolders for files that gcnd reads; or paths and meshes, as ``denoise``
+            takes them.
+        output: Folder for the results, under the names of the inputs; made where missing. Needed for a folder; only for
+            paths.
+        denoiser: What runs: a ``Denoiser``, by default with the default weights, or a ``gcnd.filters.Filter``.
+        overwrite: Whether to work again on what is done.
+        confidence: Whether files get the confidence by face as an attribute; only PLY can hold it.
+        reports: Whether outcomes have a report.
+        progress: Called with (fraction of all, the name at work and its number); returning False cancels all.
+
+    Returns:
+        One outcome a mesh, in order.
+
+    Raises:
+        ConfigError: There is nothing to do, two results would have one name, or a mesh that is no file has an output.
+        MeshError: The output folder is the input's.
+        Cancelled: ``progress`` returned False; results so far are kept.
+
+    Example:
+        >>> import trimesh
+        >>> balls = [trimesh.creation.icosphere(subdivisions=2), ([[0, 0, 0]], [])]
+        >>> [outcome.status for outcome in denoise_many(balls)]
+        ['done', 'failed']
+    """
+    jobs = _jobs(meshes, None if output is None else Path(output))
+    if denoiser is None:
+        from gcnd.denoiser import Denoiser
+
+        denoiser = Denoiser()
+    whole, past = sum(job.weight for job in jobs), 0.0
+    outcomes: list[Outcome] = []
+    for number, job in enumerate(jobs):
+        label = f"{job.name} ({number + 1} of {len(jobs)})"
+
+        def told(fraction: float, _: str, past: float = past, job: _Job = job, label: str = label) -> object:
+            if progress is None:
+                return None
+            return progress((past + fraction * job.weight) / whole, label)
+
+        if not overwrite and _is_done(job):
+            outcomes.append(Outcome(job.name, "skipped", output=job.output))
+        else:
+            outcomes.append(_run(job, denoiser, confidence, reports, told))
+        past += job.weight
+    if progress is not None:
+        progress(1.0, "done")
+    return outcomes
+
+
+def mesh_files(folder: Path, without: Path | None = None) -> list[Path]:
+    """Lists the mesh files below a folder, sorted; hidden ones, and those below ``without``, are left out."""
+    found = []
+    for path in sorted(folder.rglob("*")):
+        is_hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
+        is_result = without is not None and path.resolve().is_relative_to(without.resolve())
+        if path.suffix.lower() in SUPPORTED and path.is_file() and not is_hidden and not is_result:
+            found.append(path)
+    return found
+
+
+def write_denoised(done: Denoised, path: Path, *, confidence: bool = False) -> None:
+    """Writes a result that was read from a file, with its confidence as the face attribute ``confidence``.
+
+    Args:
+        done: What was found.
+        path: Where to write.
+        confidence: Whether to write the confidence.
+
+    Raises:
+        MeshError: The file cannot be written.
+        ConfigError: See `check_confidence_path`; or there is no confidence.
+    """
+    mesh = done.mesh
+    if confidence:
+        check_confidence_path(path)
+        if done.confidence is None:
+            raise ConfigError("there is no confidence: nothing was predicted more than once")
+        mesh = mesh.copy()
+        mesh.face_attributes["confidence"] = done.confidence.astype(np.float32)
+    save(mesh, path)
+
+
+def check_confidence_path(path: Path) -> None:
+    """Raises ``ConfigError`` where a format has no place for values by face."""
+    if path.suffix.lower() != ".ply":
+        raise ConfigError(f"{path}: only .ply holds a confidence by face", "name an output that ends in .ply")
+
+
+def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[_Job]:
+    if isinstance(meshes, str | os.PathLike):
+        folder = Path(meshes)
+        if output is None:
+            raise ConfigError("a folder of meshes needs a folder for the results", "pass output")
+        if not folder.is_dir():
+            raise ConfigError(f"no such folder: {folder}", "for one mesh, use denoise")
+        if folder.resolve() == output.resolve():
+            raise ConfigError(
+                f"{output} is the input itself", "choose another folder; the input is never changed"
+            )
+        files = mesh_files(folder, output)
+        jobs = [_file_job(path.relative_to(folder).as_posix(), path, output) for path in files]
+        hint = f"gcnd reads {', '.join(SUPPORTED)}"
+    else:
+        jobs = []
+        for index, mesh in enumerate(meshes):
+            if isinstance(mesh, str | os.PathLike):
+                jobs.append(_file_job(Path(mesh).name if output else str(mesh), Path(mesh), output))
+            elif output is None:
+                jobs.append(_Job(f"mesh {index}", mesh, None, 1.0))
+            else:
+                raise ConfigError(f"mesh {index} is no file: its result has no name", "leave output out")
+        hint = None
+    if not jobs:
+        raise ConfigError("there is no mesh to denoise", hint)
+    names = Counter(job.name for job in jobs)
+    twice = next((name for name, count in names.items() if count > 1), None) if output else None
+    if twice is not None:
+        raise ConfigError(
+            f"two results would be written to {twice}", "pass a folder, or rename one of the inputs"
+        )
+    return jobs
+
+
+def _file_job(name: str, path: Path, output: Path | None) -> _Job:
+    # The bar goes by size: what a folder holds differs by orders of magnitude.
+    size = path.stat().st_size if path.is_file() else 0
+    return _Job(name, path, None if output is None else output / name, float(max(size, 1)))
+
+
+def _is_done(job: _Job) -> bool:
+    if job.output is None or not job.output.is_file() or not os.path.isfile(job.mesh):
+        return False
+    return job.output.stat().st_mtime_ns >= os.stat(job.mesh).st_mtime_ns
+
+
+def _run(job: _Job, denoiser: Method, confidence: bool, reports: bool, progress: Progress) -> Outcome:
+    started = time.perf_counter()
+    try:
+        if job.output is None:
+            done = denoiser.run(job.mesh, progress=progress)
+            report = done.report() if reports else None
+            return Outcome(job.name, "done", time.perf_counter() - started, denoised=done, report=report)
+        if confidence:
+            check_confidence_path(job.output)
+        job.output.parent.mkdir(parents=True, exist_ok=True)
+        check_output_path(job.output, job.mesh)
+        done = denoiser.run(load(job.mesh), progress=progress)
+        write_denoised(done, job.output, confidence=confidence)
+        report = done.report() if reports else None
+        return Outcome(job.name, "done", time.perf_counter() - started, output=job.output, report=report)
+    except Cancelled:
+        raise
+    except (
+        Exception
+    ) as error:  # whatever is wrong with one mesh is told in its outcome and must not stop the rest
+        return Outcome(job.name, "failed", time.perf_counter() - started, error=error)

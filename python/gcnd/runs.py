@@ -1,0 +1,89 @@
+"""One run of a method on one mesh: what every method does before and after its own work."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import trimesh  # noqa: F401  what reads meshes takes a second to import: before a run, which must stop sooner than that
+from numpy.typing import NDArray
+
+from gcnd import _geom
+from gcnd.controls import Controls
+from gcnd.mesh_io import MeshArrays, load, to_arrays
+from gcnd.report import make_report
+from gcnd.stages import Progress, Stages
+
+__all__ = ["Denoised", "Method", "run_on"]
+
+Move = Callable[[MeshArrays, Stages], tuple[NDArray[np.float64], NDArray[np.float64] | None]]
+"""Takes a mesh with each position once, (V', 3), and returns where its vertices go, and confidences or None."""
+
+
+@dataclass(frozen=True, eq=False)
+class Denoised:
+    """Holds what a run found.
+
+    Attributes:
+        mesh: The clean mesh, of the same kind as the input; a ``trimesh.Trimesh`` for a path.
+        confidence: How far overlapping predictions for each face agree (F,), 0 to 1; None where there are none.
+        before: The input's vertices (V, 3) and faces (F, 3).
+        after: The vertices (V, 3) that ``mesh`` has, float64.
+        seconds: Wall-clock seconds by stage.
+        method: What ran, as JSON-ready values.
+    """
+
+    mesh: Any
+    confidence: NDArray[np.float64] | None
+    before: MeshArrays
+    after: NDArray[np.float64]
+    seconds: dict[str, float]
+    method: dict[str, Any]
+
+    def report(self) -> dict[str, Any]:
+        """Returns what ran, how long it took and what it changed, as JSON-ready values; see ``gcnd.report``."""
+        return make_report(self.before, self.after, self.method, self.seconds)
+
+
+class Method(Protocol):
+    """Anything with a ``run`` on one mesh: ``gcnd.Denoiser``, ``gcnd.filters.Filter``."""
+
+    def run(self, mesh: Any, *, progress: Progress | None = None) -> Denoised:
+        """Denoises one mesh."""
+        ...
+
+
+def run_on(
+    mesh: Any, move: Move, controls: Controls, method: dict[str, Any], progress: Progress | None = None
+) -> Denoised:
+    """Takes a mesh apart, has its vertices moved, applies the controls, and puts it together again.
+
+    Args:
+        mesh: Whatever ``to_arrays`` takes.
+        move: The method's own work.
+        controls: How much of it is wanted.
+        method: What runs, for the report.
+        progress: Told how far the run has come; returning False cancels.
+
+    Raises:
+        MeshError: The mesh cannot be worked on.
+        ConfigError: A control does not fit the mesh.
+        Cancelled: ``progress`` said so.
+    """
+    stages = Stages(progress)
+    stages(0.0, "reading")
+    if isinstance(mesh, str | os.PathLike):
+        mesh = load(mesh)
+    arrays, rebuild = to_arrays(mesh)
+    _geom.validate(arrays.vertices, arrays.faces)
+    mesh_once, finish = controls.bind(mesh, arrays)
+    moved, confidence = move(mesh_once, stages)
+    stages(1.0, "finishing")
+    after = finish(moved)
+    result = rebuild(after)
+    stages(1.0, "done")
+    described = {**method, "controls": controls.described()}
+    return Denoised(result, confidence, arrays, after, stages.seconds, described)

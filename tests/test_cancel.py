@@ -1,0 +1,162 @@
+"""Stopping a run: by its callback and by Ctrl-C, soon, with nothing half-written and no thread left.
+
+The limits are three times what is promised, for machines with much to do besides; benches/cancel.py measures.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import gcnd.predict
+from gcnd import Cancelled, Denoiser, _geom
+from gcnd.cli import interrupt, main
+from gcnd.cli.interrupt import check_interrupted, noticing_ctrl_c
+from gcnd.cli.progress import show_progress
+from gcnd.data.noise import add_noise
+from gcnd.filters import Filter
+from gcnd.mesh_io import save
+
+PROMISED, MARGIN = 0.5, 3.0
+
+
+def wave(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """A wavy sheet of 2 n² faces with noise."""
+    x, y = (grid.ravel() for grid in np.meshgrid(np.arange(n + 1.0), np.arange(n + 1.0)))
+    vertices = np.stack([x, y, 2.0 * np.sin(x / 9.0) * np.cos(y / 7.0)], axis=1)
+    corner = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    a, b, c, d = corner, corner + 1, corner + n + 1, corner + n + 2
+    faces = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)]).astype(np.uint32)
+    return add_noise(vertices, faces, level=0.2, seed=0), faces
+
+
+@pytest.fixture(scope="module")
+def large() -> tuple[np.ndarray, np.ndarray]:
+    return wave(224)
+
+
+@pytest.mark.parametrize("delay", [0.02, 0.4, 1.0])
+def test_a_run_stops_soon_and_leaves_no_thread(large: Any, delay: float) -> None:
+    assert len(large[1]) > 100_000
+    denoiser = Denoiser("default")
+    wish: list[float] = []
+    before, vertices = threading.active_count(), large[0].copy()
+    timer = threading.Timer(delay, lambda: wish.append(time.perf_counter()))
+    timer.start()
+    with pytest.raises(Cancelled):
+        denoiser.run(large, progress=lambda *_: not wish)
+    taken = time.perf_counter() - wish[0]
+    timer.join()
+    assert threading.active_count() == before
+    assert taken < MARGIN * PROMISED
+    assert np.array_equal(large[0], vertices)
+
+
+def test_a_filter_stops_soon(large: Any) -> None:
+    wish: list[float] = []
+    timer = threading.Timer(0.3, lambda: wish.append(time.perf_counter()))
+    timer.start()
+    with pytest.raises(Cancelled, match="guided-normal"):
+        Filter("guided-normal", normal_iterations=1000).run(large, progress=lambda *_: not wish)
+    assert time.perf_counter() - wish[0] < MARGIN * PROMISED
+
+
+def test_batches_are_told_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = []
+    for nodes in (1 << 9, 1 << 12):
+        monkeypatch.setitem(gcnd.predict.PATCH_NODES_A_BATCH, "cpu", nodes)
+        calls: list[float] = []
+        Denoiser("fast").run(wave(60), progress=lambda fraction, _, calls=calls: calls.append(fraction))
+        assert calls == sorted(calls)
+        counts.append(len(calls))
+    assert counts[0] > 3 * counts[1]
+
+
+def test_ctrl_c_while_threads_start_leaves_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Interrupted(threading.Barrier):
+        def wait(self, timeout: float | None = None) -> int:
+            if threading.current_thread() is threading.main_thread():
+                raise KeyboardInterrupt
+            return super().wait(timeout)
+
+    monkeypatch.setattr(gcnd.predict, "Barrier", Interrupted)
+    before = threading.active_count()
+    with pytest.raises(KeyboardInterrupt):
+        Denoiser("fast").run(wave(10))
+    assert threading.active_count() == before
+
+
+# --- the program -------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of another kind")
+@pytest.mark.parametrize("moment", ["import", "normals"])
+def test_ctrl_c_ends_the_program_soon_and_leaves_nothing(large: Any, tmp_path: Path, moment: str) -> None:
+    source = tmp_path / "in.ply"
+    save(large, source)
+    command = [sys.executable, "-m", "gcnd.cli", "denoise", str(source), str(tmp_path / "out.ply")]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    if moment == "normals":
+        while "normals" not in process.stderr.readline():
+            assert process.poll() is None
+    time.sleep(1.0)
+    started = time.perf_counter()
+    process.send_signal(signal.SIGINT)
+    told = process.communicate(timeout=60)[1]
+    assert time.perf_counter() - started < MARGIN * PROMISED
+    # Where there is nothing to lose, the signal itself ends the process; a shell calls that 130 as well.
+    assert process.returncode in (130, -signal.SIGINT)
+    assert moment == "import" or "Traceback" not in told
+    assert [path.name for path in tmp_path.iterdir()] == ["in.ply"]
+
+
+def test_ctrl_c_that_a_library_swallows_is_noticed() -> None:
+    with noticing_ctrl_c(), show_progress(quiet=True) as progress:
+        progress(0.0, "before")
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except BaseException as error:
+            swallowed = type(error)
+        assert swallowed is KeyboardInterrupt
+        with pytest.raises(KeyboardInterrupt):
+            progress(0.1, "after")
+    with noticing_ctrl_c():
+        check_interrupted()  # of this block there was none
+
+
+def test_the_callers_handler_comes_back(tmp_path: Path) -> None:
+    before = signal.getsignal(signal.SIGINT)
+    assert main(["info", str(tmp_path / "none.ply")]) == 1
+    assert signal.getsignal(signal.SIGINT) is before
+    with interrupt.nothing_to_lose():  # not in a process of somebody else's
+        assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_the_command_line_runs_in_any_thread(tmp_path: Path) -> None:
+    codes: list[int] = []
+    thread = threading.Thread(target=lambda: codes.append(main(["info", str(tmp_path / "none.ply")])))
+    thread.start()
+    thread.join()
+    assert codes == [1]
+
+
+def test_refinement_of_a_large_mesh_is_short_enough_not_to_ask(large: Any) -> None:
+    """The longest call that asks nobody, on a mesh of the size that the promise is about."""
+    vertices, faces = large
+    topology = _geom.Topology(faces, len(vertices))
+    normals = _geom.face_geometry(vertices, faces)[0]
+    started = time.perf_counter()
+    _geom.refine_consistent(
+        topology, vertices, normals, np.full(len(faces), 0.01), iterations=12, tolerance=3.0, sigma_r=0.15
+    )
+    assert time.perf_counter() - started < MARGIN * PROMISED
