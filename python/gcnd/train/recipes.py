@@ -67,9 +67,9 @@ OUR_PATCH = PatchConfig(scale_space=True, roughness=True)
 
 
 def _default(*steps: int) -> Recipe:
-    """The first stage is covered thinly: what it misses, the second still sees."""
-    first = StageConfig(DEFAULT_NETWORK, OUR_PATCH, coverage=0.7)
-    second = StageConfig(DEFAULT_NETWORK, OUR_PATCH, passes=2, coverage=1.5)
+    """The first stage is covered more thinly: what it misses, the second still sees."""
+    first = StageConfig(DEFAULT_NETWORK, OUR_PATCH, coverage=1.0)
+    second = StageConfig(DEFAULT_NETWORK, OUR_PATCH, passes=2, coverage=2.0)
     return Recipe(
         "default",
         "patch network with a normal for every node, two stages, the second run twice",
