@@ -152,7 +152,8 @@ def _as_array(values: Any) -> NDArray[Any]:
 
 def _from_attribute(mesh: Any, name: str, n_vertices: int) -> NDArray[np.bool_]:
     attributes: dict[str, Any] = {}
-    for holder in (getattr(mesh, name, None) for name in _ATTRIBUTE_HOLDERS):
+    holders: list[Any] = [getattr(mesh, name, None) for name in _ATTRIBUTE_HOLDERS]
+    for holder in holders:
         # Of their type: an object of open3d takes any name for a key of its own.
         if hasattr(type(holder), "__iter__") and hasattr(type(holder), "__getitem__"):
             attributes.update({str(key): holder[key] for key in holder})

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,13 +20,17 @@ from gcnd.errors import MeshError
 from gcnd.formats.atomic import write_atomic
 from gcnd.formats.export import encode
 from gcnd.formats.glb import check_glb
+from gcnd.formats.glb_scene import read_glb_shape
 from gcnd.formats.obj import read_obj
 from gcnd.formats.off import read_off
 from gcnd.formats.parsed import DAMAGED_HINT, ParsedMesh
 from gcnd.formats.ply import read_ply
+from gcnd.formats.referred import copies_of_referred
+from gcnd.formats.rewrite import BYTE_ORDER_MARK, rewrite
 from gcnd.formats.scene import merge_scene
 from gcnd.formats.stl import read_stl
 from gcnd.meshes.arrays import MeshArrays, checked
+from gcnd.meshes.normals import Motion
 from gcnd.meshes.registry import take_apart
 
 if TYPE_CHECKING:
@@ -35,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["SUPPORTED", "MeshArrays", "check_output_path", "load", "save", "to_arrays"]
 
 MeshPath: TypeAlias = "str | os.PathLike[str]"
+Result = TypeVar("Result")
 
 _READERS: Mapping[str, Callable[[bytes], ParsedMesh]] = {
     ".ply": read_ply,
@@ -79,7 +84,7 @@ def to_arrays(mesh: Any) -> tuple[MeshArrays, Callable[[ArrayLike], Any]]:
     return arrays, lambda vertices: taken.rebuild(_same_shape(vertices, arrays))
 
 
-def load(path: MeshPath) -> trimesh.Trimesh:
+def load(path: MeshPath, *, shape_only: bool = False) -> trimesh.Trimesh:
     """Reads a triangle mesh with its vertices and faces in exactly the file's order.
 
     Nothing is merged, removed or repaired. A vertex with several texture coordinates is repeated behind all
@@ -88,6 +93,8 @@ def load(path: MeshPath) -> trimesh.Trimesh:
 
     Args:
         path: A .ply, .obj, .stl, .off or .glb file.
+        shape_only: Of a .glb scene, takes only positions, faces and attributes ``_NAME``, so that parts of different
+            materials fit together, as is enough for `save` with ``like``.
 
     Returns:
         The mesh, coordinates in file units.
@@ -102,24 +109,15 @@ def load(path: MeshPath) -> trimesh.Trimesh:
         (34834, 3)
     """
     path = Path(path)
-    extension = _known_extension(path)
-    data = _read_bytes(path)
-    try:
-        if extension == ".glb":
-            parsed, material = _read_glb(data, path)
-        else:
-            parsed, material = _READERS[extension](data), None
-        arrays = checked(parsed.vertices, parsed.faces)
-        return _build(parsed, arrays, material, path)
-    except MeshError as error:
-        raise MeshError(f"cannot read {path} as {extension[1:].upper()}: {error}", error.hint) from error
-    except Exception as error:  # whatever a parser trips over is a fault of the file, not of its reader
-        reason = f"{type(error).__name__}: {error}"
-        raise MeshError(f"cannot read {path} as {extension[1:].upper()}: {reason}", DAMAGED_HINT) from error
+    return _read(path, lambda data: _built(data, path, shape_only))
 
 
-def save(mesh: Any, path: MeshPath) -> None:
+def save(mesh: Any, path: MeshPath, *, like: MeshPath | None = None) -> None:
     """Writes a mesh, whole or not at all, in the format that the extension names.
+
+    With ``like``, a file of the same format is written again with this mesh's positions: its normals, where it has any,
+    are made anew, and all the rest stays byte for byte, in GLB value for value. Files it refers to are copied to the
+    folder of `path`.
 
     Coordinates get 64 bits in PLY when the mesh was read from a file that had them, and in every format
     where 32 bits would move a vertex by more than 10⁻³ mean edge lengths (see `needs_float64`): STL is then
@@ -129,6 +127,7 @@ def save(mesh: Any, path: MeshPath) -> None:
     Args:
         mesh: A trimesh.Trimesh, or a pair (vertices, faces).
         path: A .ply, .obj, .stl, .off or .glb file; an existing one is replaced.
+        like: The file that the mesh was read from; of another format than `path`, it does nothing.
 
     Raises:
         MeshError: If the extension is none of these, the folder does not exist or cannot be written to, or
@@ -137,15 +136,40 @@ def save(mesh: Any, path: MeshPath) -> None:
     import trimesh
 
     path = Path(path)
-    check_output_path(path)
+    check_output_path(path, like)
+    files = None if like is None else _written_again(mesh, Path(like), path)
     if not isinstance(mesh, trimesh.Trimesh):
         arrays, _ = to_arrays(mesh)
         mesh = trimesh.Trimesh(arrays.vertices, arrays.faces.astype(np.int64), process=False)
     try:
-        for name, data in encode(mesh, path).items():
+        for name, data in (files or encode(mesh, path)).items():
             write_atomic(name, data)
     except OSError as error:
         raise MeshError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _written_again(mesh: Any, source: Path, path: Path) -> dict[Path, bytes] | None:
+    """Contents by path, as `encode` has them, of the file written again; None if the format cannot hold it."""
+    if source.suffix.lower() != path.suffix.lower():
+        return None
+    extension = _known_extension(path)
+    arrays, _ = to_arrays(mesh)
+
+    def change(data: bytes) -> dict[Path, bytes] | None:
+        parsed = (
+            read_glb_shape(data)
+            if extension == ".glb"
+            else _READERS[extension](_without_mark(data, extension))
+        )
+        if len(parsed.vertices) != len(arrays.vertices) or not np.array_equal(parsed.faces, arrays.faces):
+            raise MeshError("it has other faces than the mesh", "name the file that the mesh was read from")
+        own = parsed.source_vertex
+        n_own = len(arrays.vertices) if own is None else int(own.max()) + 1
+        faces = parsed.faces if own is None else own[parsed.faces]
+        changed = rewrite(data, extension, Motion(parsed.vertices[:n_own], arrays.vertices[:n_own], faces))
+        return None if changed is None else {**copies_of_referred(data, source, path), path: changed}
+
+    return _read(source, change)
 
 
 def check_output_path(path: MeshPath, input_path: MeshPath | None = None) -> None:
@@ -181,6 +205,30 @@ def _known_extension(path: Path) -> str:
     return extension
 
 
+def _read(path: Path, parse: Callable[[bytes], Result]) -> Result:
+    """What ``parse`` makes of a file's bytes; an error names the file and its format."""
+    extension = _known_extension(path)
+    data = _read_bytes(path)
+    try:
+        return parse(data)
+    except MeshError as error:
+        raise MeshError(f"cannot read {path} as {extension[1:].upper()}: {error}", error.hint) from error
+    except Exception as error:  # whatever a parser trips over is a fault of the file, not of its reader
+        reason = f"{type(error).__name__}: {error}"
+        raise MeshError(f"cannot read {path} as {extension[1:].upper()}: {reason}", DAMAGED_HINT) from error
+
+
+def _built(data: bytes, path: Path, shape_only: bool) -> trimesh.Trimesh:
+    extension = path.suffix.lower()
+    material: Any = None
+    if extension == ".glb":
+        check_glb(data)
+        parsed, material = (read_glb_shape(data), None) if shape_only else _read_glb(data, path)
+    else:
+        parsed = _READERS[extension](_without_mark(data, extension))
+    return _build(parsed, checked(parsed.vertices, parsed.faces), material, path)
+
+
 def _read_bytes(path: Path) -> bytes:
     if path.is_dir():
         raise MeshError(f"{path} is a folder, not a mesh file")
@@ -195,10 +243,15 @@ def _read_bytes(path: Path) -> bytes:
     return data
 
 
+def _without_mark(data: bytes, extension: str) -> bytes:
+    """The text behind a byte order mark, as some editors put it in front; binary STL may begin with any bytes."""
+    is_text = extension != ".stl" or data[3:8].lower() == b"solid"
+    return data.removeprefix(BYTE_ORDER_MARK) if is_text else data
+
+
 def _read_glb(data: bytes, path: Path) -> tuple[ParsedMesh, Any]:
     import trimesh
 
-    check_glb(data)
     resolver = trimesh.resolvers.FilePathResolver(str(path))
     scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", resolver=resolver, process=False)
     return merge_scene(scene)

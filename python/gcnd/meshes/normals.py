@@ -36,9 +36,9 @@ class Motion:
     def __init__(self, before: NDArray[Any], after: NDArray[Any], faces: NDArray[Any]) -> None:
         self.before = np.asarray(before, dtype=np.float64)
         self.faces = np.asarray(faces, dtype=np.int64)
-        after = np.asarray(after, dtype=np.float64)
-        self.has_moved = (self.before != after).any(axis=1)[self.faces].any(axis=1)
-        a, b, c = (after[self.faces[:, corner]] for corner in range(3))
+        self.after = np.asarray(after, dtype=np.float64)
+        self.has_moved = (self.before != self.after).any(axis=1)[self.faces].any(axis=1)
+        a, b, c = (self.after[self.faces[:, corner]] for corner in range(3))
         self.face_sums: Points = np.cross(b - a, c - a)
 
     def face_normals(self, old: NDArray[Any]) -> NDArray[Any]:
