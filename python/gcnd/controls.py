@@ -152,9 +152,11 @@ def _as_array(values: Any) -> NDArray[Any]:
 
 def _from_attribute(mesh: Any, name: str, n_vertices: int) -> NDArray[np.bool_]:
     attributes: dict[str, Any] = {}
-    for holder in (getattr(mesh, name, None) for name in _ATTRIBUTE_HOLDERS):
-        if holder is not None and hasattr(holder, "keys") and hasattr(holder, "__getitem__"):
-            attributes.update({str(key): holder[key] for key in holder.keys()})  # noqa: SIM118
+    holders: list[Any] = [getattr(mesh, name, None) for name in _ATTRIBUTE_HOLDERS]
+    for holder in holders:
+        # Of their type: an object of open3d takes any name for a key of its own.
+        if hasattr(type(holder), "__iter__") and hasattr(type(holder), "__getitem__"):
+            attributes.update({str(key): holder[key] for key in holder})
     if name not in attributes:
         known = ", ".join(sorted(attributes)) or "none"
         raise ConfigError(f"the mesh has no vertex attribute {name!r}", f"its vertex attributes: {known}")

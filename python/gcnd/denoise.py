@@ -49,7 +49,8 @@ def denoise(
     files and texture seams repeat them, move together. The input is left as it is.
 
     Args:
-        mesh: A ``trimesh.Trimesh``, a pair (vertices (V, 3), faces (F, 3)) of numpy or torch arrays, or a path.
+        mesh: A mesh of trimesh, pyvista, open3d or meshio, a pair (vertices (V, 3), faces (F, 3)) of numpy or torch
+            arrays, or a path; see ``gcnd.mesh_io.to_arrays``.
         preset: Name of shipped weights (``gcnd models`` lists them), or the path of a weights file.
         device: "cpu", or "cuda" where torch has it.
         seed: Chooses the patches that cover the mesh; the same seed gives the same result on the CPU.
@@ -68,8 +69,8 @@ def denoise(
         progress: Called now and then with (fraction done, what is being done); returning False cancels.
 
     Returns:
-        The same kind as ``mesh`` (a ``trimesh.Trimesh`` for a path), with float64 positions or the input's dtype; with
-        ``confidence``, that and an array (F,), 0 to 1.
+        The same kind as ``mesh`` (a ``trimesh.Trimesh`` for a path), with float64 positions or the input's dtype, and
+        with all that the input has besides; with ``confidence``, that and an array (F,), 0 to 1.
 
     Raises:
         Cancelled: ``progress`` returned False; nothing has changed.

@@ -129,12 +129,16 @@ def mesh_files(folder: Path, without: Path | None = None) -> list[Path]:
     return found
 
 
-def write_denoised(done: Denoised, path: Path, *, confidence: bool = False) -> None:
+def write_denoised(
+    done: Denoised, path: Path, *, source: Path | None = None, confidence: bool = False
+) -> None:
     """Writes a result that was read from a file, with its confidence as the face attribute ``confidence``.
 
     Args:
         done: What was found.
         path: Where to write.
+        source: The file it was read from: of the same format, only its positions and normals change. Not with the
+            confidence, for which the file is made anew.
         confidence: Whether to write the confidence.
 
     Raises:
@@ -148,7 +152,7 @@ def write_denoised(done: Denoised, path: Path, *, confidence: bool = False) -> N
             raise ConfigError("there is no confidence: nothing was predicted more than once")
         mesh = mesh.copy()
         mesh.face_attributes["confidence"] = done.confidence.astype(np.float32)
-    save(mesh, path)
+    save(mesh, path, like=None if confidence else source)
 
 
 def check_confidence_path(path: Path) -> None:
@@ -215,8 +219,9 @@ def _run(job: _Job, denoiser: Method, confidence: bool, reports: bool, progress:
             check_confidence_path(job.output)
         job.output.parent.mkdir(parents=True, exist_ok=True)
         check_output_path(job.output, job.mesh)
-        done = denoiser.run(load(job.mesh), progress=progress)
-        write_denoised(done, job.output, confidence=confidence)
+        mesh = load(job.mesh, shape_only=job.output.suffix.lower() == job.mesh.suffix.lower())
+        done = denoiser.run(mesh, progress=progress)
+        write_denoised(done, job.output, source=job.mesh, confidence=confidence)
         report = done.report() if reports else None
         return Outcome(job.name, "done", time.perf_counter() - started, output=job.output, report=report)
     except Cancelled:

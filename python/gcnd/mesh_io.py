@@ -1,7 +1,7 @@
-"""Files and other libraries' meshes in and out; the only user of trimesh.
+"""Files and other libraries' meshes in and out.
 
 Whatever goes in comes out as the same kind with moved vertices: vertex order, faces, colours, texture
-coordinates, attributes and metadata stay. Vertex normals are dropped, never left stale.
+coordinates, attributes and metadata stay. Vertex normals are made anew, never left stale.
 """
 
 from __future__ import annotations
@@ -10,24 +10,28 @@ import io
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gcnd import _geom
 from gcnd.errors import MeshError
 from gcnd.formats.atomic import write_atomic
-from gcnd.formats.export import encode, texture_colors
+from gcnd.formats.export import encode
 from gcnd.formats.glb import check_glb
+from gcnd.formats.glb_scene import read_glb_shape
 from gcnd.formats.obj import read_obj
 from gcnd.formats.off import read_off
-from gcnd.formats.parsed import DAMAGED_HINT, ParsedMesh, polygon_error
+from gcnd.formats.parsed import DAMAGED_HINT, ParsedMesh
 from gcnd.formats.ply import read_ply
+from gcnd.formats.referred import copies_of_referred
+from gcnd.formats.rewrite import BYTE_ORDER_MARK, rewrite
 from gcnd.formats.scene import merge_scene
 from gcnd.formats.stl import read_stl
+from gcnd.meshes.arrays import MeshArrays, checked
+from gcnd.meshes.normals import Motion
+from gcnd.meshes.registry import take_apart
 
 if TYPE_CHECKING:
     import trimesh
@@ -35,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["SUPPORTED", "MeshArrays", "check_output_path", "load", "save", "to_arrays"]
 
 MeshPath: TypeAlias = "str | os.PathLike[str]"
+Result = TypeVar("Result")
 
 _READERS: Mapping[str, Callable[[bytes], ParsedMesh]] = {
     ".ply": read_ply,
@@ -45,39 +50,6 @@ _READERS: Mapping[str, Callable[[bytes], ParsedMesh]] = {
 SUPPORTED: tuple[str, ...] = (*_READERS, ".glb")
 """The file extensions that can be read and written."""
 
-_STALE_AFTER_MOVING = ("nx", "ny", "nz")
-
-
-@dataclass(frozen=True)
-class MeshArrays:
-    """Holds a mesh as the two arrays that the geometry core takes.
-
-    Attributes:
-        vertices: float64 (V, 3), C order, finite, mesh units.
-        faces: uint32 (F, 3), C order, F ≥ 1, vertex ids anticlockwise seen from outside.
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.uint32]
-
-    def welded(self) -> tuple[MeshArrays, NDArray[np.uint32]]:
-        """Joins vertices at exactly the same position.
-
-        Returns:
-            The mesh with each position once, and for each vertex of this mesh its vertex there (V,): with positions
-            ``moved`` of the former, ``moved[ids]`` are those of this mesh.
-
-        Choice: docs/choices.md#welding.
-
-        Example:
-            >>> arrays, _ = to_arrays(([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0]], [[3, 1, 2]]))
-            >>> mesh, ids = arrays.welded()
-            >>> len(mesh.vertices), mesh.faces.tolist(), ids.tolist()
-            (3, [[0, 1, 2]], [0, 1, 2, 0])
-        """
-        representatives, ids = _geom.weld(self.vertices)
-        return MeshArrays(self.vertices[representatives], ids[self.faces]), ids
-
 
 def to_arrays(mesh: Any) -> tuple[MeshArrays, Callable[[ArrayLike], Any]]:
     """Takes any accepted mesh apart into arrays, and returns how to put moved vertices back.
@@ -85,18 +57,19 @@ def to_arrays(mesh: Any) -> tuple[MeshArrays, Callable[[ArrayLike], Any]]:
     The input is never changed, and the arrays share no memory with it.
 
     Args:
-        mesh: A trimesh.Trimesh; a pair (vertices (V, 3), faces (F, 3)) of numpy arrays, torch tensors or
-            lists; or the path of a mesh file.
+        mesh: A trimesh.Trimesh, pyvista.PolyData, meshio.Mesh or open3d TriangleMesh, legacy or of tensors; a pair
+            (vertices (V, 3), faces (F, 3)) of numpy arrays, torch tensors or lists; or the path of a mesh file.
 
     Returns:
-        The arrays, and a function that takes vertices (V, 3) and returns the same kind of mesh with them: a
-        Trimesh with the colours, texture coordinates, attributes and metadata of the input (also for a
-        path), or a pair with the dtype and device of the input. Vertices given as integers come back as
-        float64.
+        The arrays, and a function that takes vertices (V, 3) and returns the same kind of mesh with them and with all
+        else that the input has, in its dtype and on its device; for a path, a Trimesh. Vertices given as integers come
+        back as float64.
 
     Raises:
         MeshError: If it is none of these, has no faces, has faces that are not triangles, refers to
             vertices that do not exist, or has a coordinate that is not finite; and all that `load` raises.
+
+    Choice: docs/denoising.md#libraries has what each kind keeps.
 
     Example:
         >>> arrays, rebuild = to_arrays(([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]))
@@ -104,23 +77,14 @@ def to_arrays(mesh: Any) -> tuple[MeshArrays, Callable[[ArrayLike], Any]]:
         >>> vertices[0].tolist()
         [1.0, 1.0, 1.0]
     """
-    import trimesh
-
     if isinstance(mesh, str | os.PathLike):
         mesh = load(mesh)
-    if isinstance(mesh, trimesh.Trimesh):
-        arrays = _checked(np.array(mesh.vertices), np.array(mesh.faces))
-        return arrays, lambda vertices: _moved(mesh, _same_shape(vertices, arrays))
-    if isinstance(mesh, tuple | list) and len(mesh) == 2:
-        arrays = _checked(_as_numpy(mesh[0], "vertices"), _as_numpy(mesh[1], "faces"))
-        return arrays, lambda vertices: _like_pair(mesh, _same_shape(vertices, arrays))
-    raise MeshError(
-        f"cannot take a mesh from {type(mesh).__module__}.{type(mesh).__qualname__}",
-        "pass a trimesh.Trimesh, a pair (vertices, faces), or a path; of a scene, pass scene.to_mesh()",
-    )
+    taken = take_apart(mesh)
+    arrays = checked(taken.vertices, taken.faces)
+    return arrays, lambda vertices: taken.rebuild(_same_shape(vertices, arrays))
 
 
-def load(path: MeshPath) -> trimesh.Trimesh:
+def load(path: MeshPath, *, shape_only: bool = False) -> trimesh.Trimesh:
     """Reads a triangle mesh with its vertices and faces in exactly the file's order.
 
     Nothing is merged, removed or repaired. A vertex with several texture coordinates is repeated behind all
@@ -129,6 +93,8 @@ def load(path: MeshPath) -> trimesh.Trimesh:
 
     Args:
         path: A .ply, .obj, .stl, .off or .glb file.
+        shape_only: Of a .glb scene, takes only positions, faces and attributes ``_NAME``, so that parts of different
+            materials fit together, as is enough for `save` with ``like``.
 
     Returns:
         The mesh, coordinates in file units.
@@ -143,24 +109,15 @@ def load(path: MeshPath) -> trimesh.Trimesh:
         (34834, 3)
     """
     path = Path(path)
-    extension = _known_extension(path)
-    data = _read_bytes(path)
-    try:
-        if extension == ".glb":
-            parsed, material = _read_glb(data, path)
-        else:
-            parsed, material = _READERS[extension](data), None
-        arrays = _checked(parsed.vertices, parsed.faces)
-        return _build(parsed, arrays, material, path)
-    except MeshError as error:
-        raise MeshError(f"cannot read {path} as {extension[1:].upper()}: {error}", error.hint) from error
-    except Exception as error:  # whatever a parser trips over is a fault of the file, not of its reader
-        reason = f"{type(error).__name__}: {error}"
-        raise MeshError(f"cannot read {path} as {extension[1:].upper()}: {reason}", DAMAGED_HINT) from error
+    return _read(path, lambda data: _built(data, path, shape_only))
 
 
-def save(mesh: Any, path: MeshPath) -> None:
+def save(mesh: Any, path: MeshPath, *, like: MeshPath | None = None) -> None:
     """Writes a mesh, whole or not at all, in the format that the extension names.
+
+    With ``like``, a file of the same format is written again with this mesh's positions: its normals, where it has any,
+    are made anew, and all the rest stays byte for byte, in GLB value for value. Files it refers to are copied to the
+    folder of `path`.
 
     Coordinates get 64 bits in PLY when the mesh was read from a file that had them, and in every format
     where 32 bits would move a vertex by more than 10⁻³ mean edge lengths (see `needs_float64`): STL is then
@@ -170,6 +127,7 @@ def save(mesh: Any, path: MeshPath) -> None:
     Args:
         mesh: A trimesh.Trimesh, or a pair (vertices, faces).
         path: A .ply, .obj, .stl, .off or .glb file; an existing one is replaced.
+        like: The file that the mesh was read from; of another format than `path`, it does nothing.
 
     Raises:
         MeshError: If the extension is none of these, the folder does not exist or cannot be written to, or
@@ -178,15 +136,40 @@ def save(mesh: Any, path: MeshPath) -> None:
     import trimesh
 
     path = Path(path)
-    check_output_path(path)
+    check_output_path(path, like)
+    files = None if like is None else _written_again(mesh, Path(like), path)
     if not isinstance(mesh, trimesh.Trimesh):
         arrays, _ = to_arrays(mesh)
         mesh = trimesh.Trimesh(arrays.vertices, arrays.faces.astype(np.int64), process=False)
     try:
-        for name, data in encode(mesh, path).items():
+        for name, data in (files or encode(mesh, path)).items():
             write_atomic(name, data)
     except OSError as error:
         raise MeshError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _written_again(mesh: Any, source: Path, path: Path) -> dict[Path, bytes] | None:
+    """Contents by path, as `encode` has them, of the file written again; None if the format cannot hold it."""
+    if source.suffix.lower() != path.suffix.lower():
+        return None
+    extension = _known_extension(path)
+    arrays, _ = to_arrays(mesh)
+
+    def change(data: bytes) -> dict[Path, bytes] | None:
+        parsed = (
+            read_glb_shape(data)
+            if extension == ".glb"
+            else _READERS[extension](_without_mark(data, extension))
+        )
+        if len(parsed.vertices) != len(arrays.vertices) or not np.array_equal(parsed.faces, arrays.faces):
+            raise MeshError("it has other faces than the mesh", "name the file that the mesh was read from")
+        own = parsed.source_vertex
+        n_own = len(arrays.vertices) if own is None else int(own.max()) + 1
+        faces = parsed.faces if own is None else own[parsed.faces]
+        changed = rewrite(data, extension, Motion(parsed.vertices[:n_own], arrays.vertices[:n_own], faces))
+        return None if changed is None else {**copies_of_referred(data, source, path), path: changed}
+
+    return _read(source, change)
 
 
 def check_output_path(path: MeshPath, input_path: MeshPath | None = None) -> None:
@@ -222,6 +205,30 @@ def _known_extension(path: Path) -> str:
     return extension
 
 
+def _read(path: Path, parse: Callable[[bytes], Result]) -> Result:
+    """What ``parse`` makes of a file's bytes; an error names the file and its format."""
+    extension = _known_extension(path)
+    data = _read_bytes(path)
+    try:
+        return parse(data)
+    except MeshError as error:
+        raise MeshError(f"cannot read {path} as {extension[1:].upper()}: {error}", error.hint) from error
+    except Exception as error:  # whatever a parser trips over is a fault of the file, not of its reader
+        reason = f"{type(error).__name__}: {error}"
+        raise MeshError(f"cannot read {path} as {extension[1:].upper()}: {reason}", DAMAGED_HINT) from error
+
+
+def _built(data: bytes, path: Path, shape_only: bool) -> trimesh.Trimesh:
+    extension = path.suffix.lower()
+    material: Any = None
+    if extension == ".glb":
+        check_glb(data)
+        parsed, material = (read_glb_shape(data), None) if shape_only else _read_glb(data, path)
+    else:
+        parsed = _READERS[extension](_without_mark(data, extension))
+    return _build(parsed, checked(parsed.vertices, parsed.faces), material, path)
+
+
 def _read_bytes(path: Path) -> bytes:
     if path.is_dir():
         raise MeshError(f"{path} is a folder, not a mesh file")
@@ -236,10 +243,15 @@ def _read_bytes(path: Path) -> bytes:
     return data
 
 
+def _without_mark(data: bytes, extension: str) -> bytes:
+    """The text behind a byte order mark, as some editors put it in front; binary STL may begin with any bytes."""
+    is_text = extension != ".stl" or data[3:8].lower() == b"solid"
+    return data.removeprefix(BYTE_ORDER_MARK) if is_text else data
+
+
 def _read_glb(data: bytes, path: Path) -> tuple[ParsedMesh, Any]:
     import trimesh
 
-    check_glb(data)
     resolver = trimesh.resolvers.FilePathResolver(str(path))
     scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", resolver=resolver, process=False)
     return merge_scene(scene)
@@ -302,92 +314,8 @@ def _material(parsed: ParsedMesh, path: Path) -> Any:
     return material
 
 
-def _as_numpy(values: Any, what: str) -> NDArray[Any]:
-    if _is_torch(values):
-        values = values.detach().cpu()
-        # numpy has no bfloat16, and every float that torch has fits in 64 bits.
-        values = (values.double() if values.is_floating_point() else values).numpy()
-    try:
-        array = np.array(values)
-    except ValueError:
-        lengths = [len(row) if hasattr(row, "__len__") else 1 for row in values]
-        bad = next((i for i, length in enumerate(lengths) if length != 3), 0)
-        if what == "faces":
-            raise polygon_error(bad, lengths[bad]) from None
-        raise MeshError(f"vertex {bad} has {lengths[bad]} coordinates, not 3") from None
-    if array.dtype.kind not in "iuf":
-        raise MeshError(f"{what} are of type {array.dtype}, not numbers")
-    return array
-
-
-def _is_torch(values: Any) -> bool:
-    # By name: torch is heavy, and whoever holds a tensor has imported it already.
-    return type(values).__module__.partition(".")[0] == "torch"
-
-
-def _checked(vertices: NDArray[Any], faces: NDArray[Any]) -> MeshArrays:
-    """Checks shapes, indices and coordinates; an error names the first offender."""
-    if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise MeshError(f"vertices have shape {vertices.shape}, not (V, 3)")
-    if faces.size == 0:
-        raise MeshError("the mesh has no faces", "a point cloud must be meshed first")
-    if faces.ndim != 2 or faces.shape[1] != 3:
-        if faces.ndim == 2 and faces.shape[1] > 3:
-            raise polygon_error(0, faces.shape[1])
-        raise MeshError(f"faces have shape {faces.shape}, not (F, 3)")
-    if faces.dtype.kind not in "iu":
-        raise MeshError(f"faces are of type {faces.dtype}, not integers")
-    outside = (faces < 0) | (faces >= len(vertices))
-    if outside.any():
-        face_id, corner = (int(i) for i in np.argwhere(outside)[0])
-        raise MeshError(
-            f"face {face_id} refers to vertex {int(faces[face_id, corner])}, and the mesh has "
-            f"{len(vertices)} vertices (counted from 0)",
-            DAMAGED_HINT,
-        )
-    points = np.ascontiguousarray(vertices, dtype=np.float64)
-    is_bad = ~np.isfinite(points).all(axis=1)
-    if is_bad.any():
-        vertex_id = int(np.argmax(is_bad))
-        position = tuple(points[vertex_id].tolist())
-        raise MeshError(
-            f"vertex {vertex_id} is not finite: {position}", "remove it, with the faces around it"
-        )
-    return MeshArrays(points, np.ascontiguousarray(faces, dtype=np.uint32))
-
-
 def _same_shape(vertices: ArrayLike, arrays: MeshArrays) -> NDArray[np.float64]:
     moved = np.array(vertices, dtype=np.float64)
     if moved.shape != arrays.vertices.shape:
         raise MeshError(f"moved vertices have shape {moved.shape}, not {arrays.vertices.shape}")
     return moved
-
-
-def _moved(mesh: trimesh.Trimesh, vertices: NDArray[np.float64]) -> trimesh.Trimesh:
-    # A primitive such as trimesh.primitives.Box has no free vertices.
-    copy: Any = mesh.to_mesh() if hasattr(mesh, "to_mesh") else mesh.copy()
-    copy.vertices = vertices
-    colors = texture_colors(mesh)
-    if colors is not None:
-        # trimesh's copy of a texture forgets the colours beside it.
-        copy.visual.vertex_attributes["color"] = np.array(colors)
-    for name in _STALE_AFTER_MOVING:
-        copy.vertex_attributes.pop(name, None)
-    # trimesh's own PLY reader leaves the whole file in there, with the old positions and normals.
-    copy.metadata.pop("_ply_raw", None)
-    result: trimesh.Trimesh = copy
-    return result
-
-
-def _like_pair(pair: Any, vertices: NDArray[np.float64]) -> tuple[Any, Any]:
-    """The pair with new vertices, each member in its own library, dtype and device."""
-    old_vertices, faces = pair
-    if _is_torch(old_vertices):
-        import torch
-
-        dtype = old_vertices.dtype if old_vertices.is_floating_point() else torch.float64
-        new: Any = torch.as_tensor(vertices).to(device=old_vertices.device, dtype=dtype)
-    else:
-        kind = np.asarray(old_vertices).dtype
-        new = vertices.astype(kind if kind.kind == "f" else np.float64)
-    return new, faces.clone() if _is_torch(faces) else np.array(faces)

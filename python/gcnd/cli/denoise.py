@@ -177,12 +177,12 @@ def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: b
             check_report_path(request.report, input_mesh, output_mesh)
         start = time.perf_counter()
         # Before torch, which takes seconds to import: a wrong file should be told at once.
-        mesh = load(input_mesh)
+        mesh = load(input_mesh, shape_only=input_mesh.suffix.lower() == output_mesh.suffix.lower())
         method = request.method()
     with show_progress(quiet=quiet) as progress:
         done = method.run(mesh, progress=progress)
     writing = time.perf_counter()
-    write_denoised(done, output_mesh, confidence=request.confidence)
+    write_denoised(done, output_mesh, source=input_mesh, confidence=request.confidence)
     seconds = time.perf_counter() - start
     if request.report is not None:
         done.seconds["writing"] = time.perf_counter() - writing

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from gcnd.errors import MeshError
 from gcnd.formats.parsed import DAMAGED_HINT, ParsedMesh, polygon_error, rgba_from_values, truncated_error
 
-__all__ = ["read_off", "write_off"]
+__all__ = ["KEYWORD", "read_off", "write_off"]
 
-_KEYWORD = re.compile(r"(ST)?(C)?(N)?OFF$")
+KEYWORD = re.compile(r"(ST)?(C)?(N)?OFF$")
 
 
 def read_off(data: bytes) -> ParsedMesh:
@@ -32,7 +32,7 @@ def read_off(data: bytes) -> ParsedMesh:
     text = data.decode("utf-8", errors="replace")
     lines = [line for line in (raw.partition("#")[0].strip() for raw in text.splitlines()) if line]
     keyword, _, rest = lines[0].partition(" ") if lines else ("", "", "")
-    kind = _KEYWORD.match(keyword)
+    kind = KEYWORD.match(keyword)
     if kind is None:
         raise MeshError(
             "it does not start with the word 'OFF'", "check that the extension matches the content"

@@ -34,6 +34,7 @@ class ParsedMesh:
         texture: Name of the texture image, as the file writes it, or None.
         material_libraries: Names of material files, as the file writes them.
         material: Name of the one material in use, or None.
+        source_vertex: int64 (V,), the file's vertex of each vertex here, where seams repeat some; or None.
     """
 
     vertices: NDArray[np.float64]
@@ -47,6 +48,7 @@ class ParsedMesh:
     texture: str | None = None
     material_libraries: list[str] = field(default_factory=list)
     material: str | None = None
+    source_vertex: NDArray[np.int64] | None = None
 
     def repeat_vertices(self, source_vertex: NDArray[np.int64]) -> None:
         """Replaces the vertices, and every value per vertex, by the rows `source_vertex` names.
@@ -54,6 +56,7 @@ class ParsedMesh:
         Args:
             source_vertex: int64 (V',), old vertex id of each new vertex.
         """
+        self.source_vertex = source_vertex
         self.vertices = self.vertices[source_vertex]
         if self.vertex_colors is not None:
             self.vertex_colors = self.vertex_colors[source_vertex]

@@ -24,7 +24,7 @@ from gcnd.formats.parsed import (
 )
 from gcnd.formats.ply_header import PlyElement, PlyHeader, PlyProperty, parse_header
 
-__all__ = ["read_ply", "write_ply"]
+__all__ = ["first_lengths_binary", "first_lengths_text", "read_ply", "record_fields", "write_ply"]
 
 _INDEX_NAMES = ("vertex_indices", "vertex_index")
 _UV_NAMES = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
@@ -106,8 +106,8 @@ def _read_binary(data: bytes, header: PlyHeader) -> dict[str, Columns]:
     columns: dict[str, Columns] = {}
     position = header.data_start
     for element in header.elements:
-        lengths = _first_lengths_binary(data, position, element, header.byte_order or "<")
-        record = np.dtype(_record_fields(element, lengths, header.byte_order or "<"))
+        lengths = first_lengths_binary(data, position, element, header.byte_order or "<")
+        record = np.dtype(record_fields(element, lengths, header.byte_order or "<"))
         n_whole = min(element.count, max(0, len(data) - position) // max(record.itemsize, 1))
         rows = np.frombuffer(data, dtype=record, count=n_whole, offset=min(position, len(data)))
         counts = {f"{p.name} length": rows[f"{p.name} length"] for p in element.properties if p.count_dtype}
@@ -135,7 +135,7 @@ def _read_text(data: bytes, header: PlyHeader) -> dict[str, Columns]:
     columns: dict[str, Columns] = {}
     position = 0
     for element in header.elements:
-        lengths = _first_lengths_text(numbers[position:], element)
+        lengths = first_lengths_text(numbers[position:], element)
         width = sum(1 + lengths[p.name] if p.count_dtype else 1 for p in element.properties)
         n_whole = min(element.count, (len(numbers) - position) // max(width, 1))
         rows = numbers[position : position + n_whole * width].reshape(n_whole, width)
@@ -171,7 +171,7 @@ def _is_face_indices(element: PlyElement, prop: PlyProperty) -> bool:
     return element.name == "face" and prop.name in _INDEX_NAMES
 
 
-def _first_lengths_binary(data: bytes, position: int, element: PlyElement, order: str) -> dict[str, int]:
+def first_lengths_binary(data: bytes, position: int, element: PlyElement, order: str) -> dict[str, int]:
     """Length of each list in the element's first record; a face's indices are taken to be three."""
     lengths: dict[str, int] = {}
     for p in element.properties:
@@ -186,7 +186,7 @@ def _first_lengths_binary(data: bytes, position: int, element: PlyElement, order
     return lengths
 
 
-def _first_lengths_text(numbers: NDArray[np.float64], element: PlyElement) -> dict[str, int]:
+def first_lengths_text(numbers: NDArray[np.float64], element: PlyElement) -> dict[str, int]:
     """Length of each list in the element's first record; a face's indices are taken to be three."""
     lengths: dict[str, int] = {}
     column = 0
@@ -206,7 +206,8 @@ def _plausible(length: int, element: PlyElement, prop: PlyProperty) -> int:
     return length
 
 
-def _record_fields(element: PlyElement, lengths: Mapping[str, int], order: str) -> list[Any]:
+def record_fields(element: PlyElement, lengths: Mapping[str, int], order: str) -> list[Any]:
+    """Returns numpy's fields of an element's records in a file: its properties, and "NAME length" before a list."""
     fields: list[Any] = []
     for p in element.properties:
         if p.count_dtype:

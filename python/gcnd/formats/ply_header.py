@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -71,6 +72,9 @@ class PlyHeader:
     data_start: int
 
 
+# One line ending follows, and no more: the data itself may begin with a byte that looks like one.
+_END = re.compile(rb"end_header(?:[ \t]*(?:\r\n|\n|\r))?")
+
 _BYTE_ORDERS: dict[str, Literal["<", ">"] | None] = {
     "ascii": None,
     "binary_little_endian": "<",
@@ -90,22 +94,16 @@ def parse_header(data: bytes) -> PlyHeader:
     Raises:
         MeshError: If it is no PLY header, or one that does not end, with the offending line.
     """
-    if not data.startswith(b"ply") or data[3:4] not in (b"\n", b"\r"):
+    if not data.startswith(b"ply") or data[3:4] not in (b"\n", b"\r", b" ", b"\t"):
         raise MeshError(
             "it does not start with the word 'ply'", "check that the extension matches the content"
         )
-    end = data.find(b"end_header")
-    if end < 0:
+    end_line = _END.search(data)
+    if end_line is None:
         raise MeshError("its header has no end_header line", DAMAGED_HINT)
-    data_start = end + len(b"end_header")
-    # One line ending follows, and no more: the data itself may begin with a byte that looks like one.
-    for line_ending in (b"\r\n", b"\n", b"\r"):
-        if data.startswith(line_ending, data_start):
-            data_start += len(line_ending)
-            break
-    header = PlyHeader(None, [], None, data_start)
+    header = PlyHeader(None, [], None, end_line.end())
     has_format = False
-    for line in data[:end].decode("utf-8", errors="replace").splitlines()[1:]:
+    for line in data[: end_line.start()].decode("utf-8", errors="replace").splitlines()[1:]:
         words = line.split()
         try:
             has_format |= _read_line(words, header, line)

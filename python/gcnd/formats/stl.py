@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from gcnd.errors import MeshError
 from gcnd.formats.parsed import DAMAGED_HINT, ParsedMesh, polygon_error, truncated_error
 
-__all__ = ["read_stl", "write_stl"]
+__all__ = ["HEADER_BYTES", "RECORD", "read_stl", "write_stl"]
 
-_RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_HEADER_BYTES = 84
+RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+HEADER_BYTES = 84
 _VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 
 
@@ -33,19 +33,19 @@ def read_stl(data: bytes) -> ParsedMesh:
         MeshError: If the file is no STL file, is cut off, or has a face that is not a triangle.
     """
     is_text = data.lstrip()[:5].lower() == b"solid"
-    n_faces = int.from_bytes(data[80:84], "little") if len(data) >= _HEADER_BYTES else 0
-    n_bytes = len(data) - _HEADER_BYTES
+    n_faces = int.from_bytes(data[80:84], "little") if len(data) >= HEADER_BYTES else 0
+    n_bytes = len(data) - HEADER_BYTES
     # Many binary files begin with the word "solid" as well; only the length tells.
-    if n_bytes == n_faces * _RECORD.itemsize:
+    if n_bytes == n_faces * RECORD.itemsize:
         return _read_binary(data, n_faces)
     if is_text and b"facet" in data[:4096].lower():
         return _read_text(data)
-    if len(data) < _HEADER_BYTES:
+    if len(data) < HEADER_BYTES:
         raise MeshError(f"{len(data)} bytes are too short for an STL file", DAMAGED_HINT)
-    if n_bytes < n_faces * _RECORD.itemsize:
-        raise truncated_error("bytes of faces", n_faces * _RECORD.itemsize, n_bytes)
+    if n_bytes < n_faces * RECORD.itemsize:
+        raise truncated_error("bytes of faces", n_faces * RECORD.itemsize, n_bytes)
     raise MeshError(
-        f"{n_bytes - n_faces * _RECORD.itemsize} bytes follow the {n_faces} faces it announces", DAMAGED_HINT
+        f"{n_bytes - n_faces * RECORD.itemsize} bytes follow the {n_faces} faces it announces", DAMAGED_HINT
     )
 
 
@@ -54,7 +54,7 @@ def _soup(corners: NDArray[np.float64]) -> ParsedMesh:
 
 
 def _read_binary(data: bytes, n_faces: int) -> ParsedMesh:
-    rows = np.frombuffer(data, dtype=_RECORD, count=n_faces, offset=_HEADER_BYTES)
+    rows = np.frombuffer(data, dtype=RECORD, count=n_faces, offset=HEADER_BYTES)
     parsed = _soup(rows["corners"].reshape(-1, 3).astype(np.float64))
     if rows["attribute"].any():
         parsed.face_attributes["stl"] = rows["attribute"].astype(np.uint16)
@@ -98,7 +98,7 @@ def write_stl(mesh: ParsedMesh, *, as_text: bool) -> bytes:
     normals = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
     if as_text:
         return _write_text(corners, normals)
-    rows = np.zeros(len(corners), dtype=_RECORD)
+    rows = np.zeros(len(corners), dtype=RECORD)
     rows["normal"], rows["corners"] = normals, corners
     spare = mesh.face_attributes.get("stl")
     if spare is not None and np.shape(spare) == (len(rows),) and spare.dtype == np.uint16:

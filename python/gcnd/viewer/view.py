@@ -32,7 +32,7 @@ def view(after: Any, *, against: Any, truth: Any = None, out: MeshPath = "view.h
     truth (degrees a face) or by displacement (mean edge lengths a vertex).
 
     Args:
-        after: The denoised mesh: a trimesh.Trimesh, a pair (vertices (V, 3), faces (F, 3)) or a path.
+        after: The denoised mesh: whatever `gcnd.mesh_io.to_arrays` takes: a path, a pair of arrays, a mesh object.
         against: The mesh before, with the same faces in the same order.
         truth: The true mesh, with the same faces in the same order, or None.
         out: The page to write, .html; an existing one is replaced.
