@@ -70,6 +70,7 @@ check-wheel: wheel
 audit: $(VENV)/.installed-audit
 	$(BIN)/pip-audit --skip-editable --local
 	cargo deny check
+	cargo audit
 
 clean:
 	rm -rf target $(VENV) $(MODULE) dist demo site
