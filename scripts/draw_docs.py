@@ -1,7 +1,7 @@
 """Draws the pictures of the guides and of docs/how-it-works.md into docs/images.
 
-    python scripts/draw_docs.py                  # all
-    python scripts/draw_docs.py passes patches   # some
+python scripts/draw_docs.py                  # all
+python scripts/draw_docs.py passes patches   # some
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from gcnd.data.noise import add_noise
 from gcnd.data.shapes import Shape, make_shape
 from gcnd.filters import apply_filter
 from gcnd.metrics import normal_angles
-from gcnd.picture import Panel, save_panels
+from gcnd.picture import Panel, save_panels, view_matrix
 from gcnd.predict import PatchArrays, make_extractor, predict_normals, refined
 from gcnd.scans import simulate
 from gcnd.weights import load_cascade
 
 OUT = Path(__file__).parent.parent / "docs" / "images"
-PATCH_CENTERS = (900, 4000, 9000, 12500)
-"""Faces of the part that are in view."""
+N_PATCHES = 16
+AZIMUTH, ELEVATION = 35.0, 50.0
 
 
 def part() -> tuple[Shape, NDArray[np.float64]]:
@@ -46,7 +46,8 @@ def passes() -> None:
     cascade = load_cascade("default")
     topology = _geom.Topology(faces, len(vertices))
     roughness = _geom.mesh_roughness(topology, vertices) if cascade.sees_roughness else None
-    panels = [Panel("noisy", vertices, faces, normal_angles(vertices, truth, faces))]
+    errors = normal_angles(vertices, truth, faces)
+    panels = [Panel(f"noisy: {errors.mean():.1f}°", vertices, faces, errors)]
     steps = cascade.passes()
     for index, (stage, network) in enumerate(steps):
         found = predict_normals(topology, vertices, stage, network, seed=index, roughness=roughness)
@@ -55,34 +56,34 @@ def passes() -> None:
         vertices = _geom.update_vertices(topology, vertices, normals, cascade.config.vertex_iterations)
         errors = normal_angles(vertices, truth, faces)
         panels.append(Panel(f"after pass {index + 1}: {errors.mean():.1f}°", vertices, faces, errors))
-    panels[0] = Panel(f"noisy: {np.mean(panels[0].values):.1f}°", *_drawn(panels[0]))
-    save_panels(OUT / "passes.png", [[panels[0], *panels[1:3], panels[-1]]], max_value=20.0)
-
-
-def _drawn(panel: Panel) -> tuple[NDArray[np.float64], NDArray[np.uint32], NDArray[np.float64] | None]:
-    return panel.vertices, panel.faces, panel.values
+    save_panels(OUT / "passes.png", [[*panels[:3], panels[-1]]], max_value=20.0)
 
 
 def patches() -> None:
-    """Some patches on the noisy part: the later a face is among the patch's nodes, the darker."""
+    """Patches on the noisy part: the nearer a face is to its patch's centre, the brighter."""
     shape, vertices = part()
     patch = load_cascade("default").passes()[0][0].patch
     topology = _geom.Topology(shape.faces, len(vertices))
-    arrays = PatchArrays(len(PATCH_CENTERS), patch)
-    arrays.fill(make_extractor(topology, vertices, patch, 0), np.array(PATCH_CENTERS, dtype=np.uint32))
+    normals, _, _ = _geom.face_geometry(vertices, shape.faces)
+    in_view = np.flatnonzero(normals @ view_matrix(AZIMUTH, ELEVATION)[2] > 0.4)
+    centers = np.random.default_rng(0).choice(in_view, N_PATCHES, replace=False).astype(np.uint32)
+    arrays = PatchArrays(N_PATCHES, patch)
+    arrays.fill(make_extractor(topology, vertices, patch, 0), centers)
     nodes = np.zeros(len(shape.faces))
     for ids, mask in zip(arrays.face_ids, arrays.mask, strict=True):
         nodes[ids[mask > 0]] = patch.n_nodes - np.arange(patch.n_nodes)[mask > 0]
     save_panels(
         OUT / "patches.png",
-        [[Panel("patches on the noisy mesh", vertices, shape.faces, nodes)]],
+        [[Panel(f"{N_PATCHES} patches of {patch.n_nodes} faces", vertices, shape.faces, nodes)]],
+        azimuth=AZIMUTH,
+        elevation=ELEVATION,
         max_value=float(patch.n_nodes),
-        label="64 at the centre, 1 for the last node, 0 in no patch",
+        label="64: centre, 1: last node, 0: in none of them",
     )
 
 
 def statue() -> None:
-    """The statue, noisy, clean and true, whole and close up."""
+    """The statue: noisy, clean and truth."""
     shape = detailed()
     noisy = add_noise(shape.vertices, shape.faces, level=0.2, seed=1)
     clean, _ = gcnd.denoise((noisy, shape.faces))
