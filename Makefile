@@ -4,8 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUST_SOURCES := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml Cargo.lock
 MODULE := python/gcnd/_geom.abi3.so
+WHEEL_OPTIONS := $(if $(filter Linux,$(shell uname -s)),--zig --compatibility manylinux_2_28)
 
-.PHONY: demo test test-rust test-python lint bench train wheel clean
+.PHONY: demo test test-rust test-python lint bench train docs wheel check-wheel audit clean
 .DEFAULT_GOAL := demo
 
 # The virtual environment with everything that pyproject.toml names, once.
@@ -47,8 +48,29 @@ bench: $(MODULE)
 train: $(MODULE)
 	$(BIN)/gcnd train --preset default
 
-wheel: $(VENV)/.installed
-	$(BIN)/maturin build --release --out dist
+# What a target below needs on top of that, from the extra of its name, once.
+$(VENV)/.installed-%: $(VENV)/.installed
+	$(BIN)/python scripts/install_requirements.py $*
+	touch $@
+
+# The site, into site/. Nothing is fetched while it is built, and a broken link fails.
+docs: $(VENV)/.installed-docs
+	$(BIN)/mkdocs build --strict
+
+# One wheel for CPython 3.10 and later, on Linux for glibc 2.28 and later, whatever glibc is here: zig links it.
+wheel: $(VENV)/.installed-wheel
+	rm -f dist/*.whl
+	PATH="$(abspath $(BIN)):$$PATH" $(BIN)/maturin build --release --out dist $(WHEEL_OPTIONS)
+
+# What is in the wheel, and a mesh denoised with it in an empty environment of every Python at hand.
+check-wheel: wheel
+	$(BIN)/python scripts/check_wheel.py dist
+
+# Known vulnerabilities and licences of what is depended on; asks the advisory databases, so needs a network.
+audit: $(VENV)/.installed-audit
+	$(BIN)/pip-audit --skip-editable --local
+	cargo deny check
+	cargo audit
 
 clean:
-	rm -rf target $(VENV) $(MODULE) dist demo
+	rm -rf target $(VENV) $(MODULE) dist demo site

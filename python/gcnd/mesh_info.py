@@ -54,7 +54,7 @@ def mesh_info(vertices: ArrayLike, faces: ArrayLike) -> MeshInfo:
         - `duplicate_vertices`: vertices at the position of an earlier vertex.
         - `bounding_box_diagonal`: of all vertices. `mean_edge_length`: of all edges, each counted once.
         - `edge_length_variation`: standard deviation of the edge lengths over their mean; 0.1 for even triangles, 0.5
-          for a mesh thinned out.
+            for a mesh thinned out.
         - `watertight`: whether every edge belongs to exactly two faces, and there is one.
 
     Example:
