@@ -142,13 +142,14 @@ def main() -> None:
     parser.add_argument("--shapes", type=Path, default=Path("runs/shapes"))
     parser.add_argument("--meshes", type=Path)
     parser.add_argument("--noise", choices=list(LEVELS), default="gaussian")
+    parser.add_argument("--levels", type=float, nargs="+", help="only these; all of the kind if left out")
     parser.add_argument("--preset", action="append", default=[], help="name or .safetensors; may repeat")
     parser.add_argument("--out", type=Path, default=Path("runs/accuracy.json"))
     options = parser.parse_args()
     rows = json.loads(options.out.read_text()) if options.out.exists() else {}
     cascades = {name: load_cascade(name) for name in options.preset}
     for truth in clean_meshes(options.procedural, options.shapes, options.meshes):
-        for level in LEVELS[options.noise]:
+        for level in options.levels or LEVELS[options.noise]:
             key = f"{truth.name} {options.noise} {level}"
             about = {"kind": truth.kind, "noise": options.noise, "level": level, "faces": len(truth.faces)}
             row = rows.setdefault(key, about)

@@ -21,7 +21,7 @@ from gcnd.weights.files import load_tensors
 from gcnd.weights.registry import load_config
 
 FOLDER = Path(__file__).parent.parent / "python" / "gcnd" / "weights"
-GOLDEN_PATCHES = 2
+GOLDEN_PATCHES = 4
 
 
 def golden(cascade: Cascade) -> dict[str, np.ndarray]:
@@ -29,7 +29,10 @@ def golden(cascade: Cascade) -> dict[str, np.ndarray]:
     generator = torch.Generator().manual_seed(0)
     stage = cascade.config.stages[0]
     shape = (GOLDEN_PATCHES, stage.patch.n_nodes)
-    features = torch.rand((*shape, stage.patch.n_channels), generator=generator) * 2 - 1
+    n_channels = stage.patch.n_channels
+    # Every patch around a middle of its own, so that also a network that pools them answers each differently.
+    middle = torch.rand((GOLDEN_PATCHES, 1, n_channels), generator=generator) * 2 - 1
+    features = middle + torch.rand((*shape, n_channels), generator=generator) - 0.5
     neighbors = torch.randint(0, stage.patch.n_nodes, (*shape, 3), generator=generator, dtype=torch.int32)
     arrays = {"features": features.numpy(), "neighbors": neighbors.numpy()}
     with torch.inference_mode():

@@ -286,9 +286,10 @@ def test_golden_answers_of_the_shipped_weights(name: str) -> None:
             found = network(features, neighbors).numpy()
         assert found.shape == answer.shape
         assert np.abs(found - answer).max() < 1e-4
-        # The golden answers themselves are neither constant nor the input's normals.
-        assert np.abs(answer - features[..., 3:6].numpy()).max() > 0.05
-        assert answer.std(axis=(0, 1)).min() > 0.05
+        # The golden answers are no input normals, and differ from patch to patch by far more than they may be off.
+        own = features[..., 3:6].numpy() if answer.ndim == 3 else features[:, 0, 3:6].numpy()
+        assert np.abs(answer - own).max() > 0.05
+        assert answer.reshape(-1, 3).std(axis=0).min() > 0.02
 
 
 @pytest.mark.parametrize("name", registry._SHIPPED)

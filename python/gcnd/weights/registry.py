@@ -20,7 +20,7 @@ LAYOUT_VERSION = 2
 
 _FOLDER = Path(__file__).parent
 
-_SHIPPED = ("default", "fast")
+_SHIPPED = ("default", "fast", "paper")
 """Presets with weights in the package: ``<name>.safetensors`` with its card ``<name>.json``."""
 
 
