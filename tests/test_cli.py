@@ -13,21 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli_cases import FACES, VERTICES, FakeDenoiser, replace_denoiser, stand_in, write_mesh
+from cli_cases import FACES, VERTICES, FakeDenoiser, stand_in
 from gcnd.cli import main
 from gcnd.controls import Controls
 from gcnd.errors import ConfigError, GcndError
 from gcnd.mesh_io import load, save
-
-
-@pytest.fixture
-def mesh_path(tmp_path: Path) -> Path:
-    return write_mesh(tmp_path)
-
-
-@pytest.fixture
-def denoise_calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    return replace_denoiser(monkeypatch)
 
 
 def run_program(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:

@@ -9,19 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cli_cases import VERTICES, replace_denoiser, write_mesh
+from cli_cases import VERTICES
 from gcnd.cli import main
 from gcnd.mesh_io import load
-
-
-@pytest.fixture
-def mesh_path(tmp_path: Path) -> Path:
-    return write_mesh(tmp_path)
-
-
-@pytest.fixture
-def denoise_calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    return replace_denoiser(monkeypatch)
 
 
 def test_confidence_becomes_a_face_attribute(mesh_path: Path, denoise_calls: list[dict[str, Any]]) -> None:

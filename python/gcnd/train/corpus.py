@@ -19,6 +19,8 @@ from gcnd.train.samples import CleanShape, FreshNoise, NoiseDraw, NoisyMesh, Ver
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from gcnd.train.recipes import Recipe
 
 VALIDATION_SEED = 1_000_000
@@ -82,9 +84,7 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
         'cad'
     """
     shapes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder)
-    shapes += blended_parts(shapes)
-    if mesh_folder is not None:
-        shapes += [shape for path in find_meshes(mesh_folder) for shape in given_shapes(path)]
+    shapes += blended_parts(shapes) + _shapes_of_folder(mesh_folder)
     held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
     validation = [NoisyMesh.untouched(s, noisy_vertices(s, VALIDATION_NOISE)) for s in held_out]
     return Corpus(shapes, FreshNoise(shapes), validation)
@@ -116,6 +116,10 @@ def blended_parts(shapes: list[CleanShape]) -> list[CleanShape]:
         name = f"{part.name}, edges blended"
         found.append(CleanShape(name, part.kind, vertices, part.faces, draw_weight=BLENDED_WEIGHT))
     return found
+
+
+def _shapes_of_folder(folder: Path | None) -> list[CleanShape]:
+    return [] if folder is None else [shape for path in find_meshes(folder) for shape in given_shapes(path)]
 
 
 def given_shapes(path: Path) -> list[CleanShape]:
@@ -168,9 +172,7 @@ def scanned_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | None,
     """
     if recipe.n_scans < 1:
         raise ConfigError(f"n_scans of recipe {recipe.name} is {recipe.n_scans}, allowed: 1 or more")
-    meshes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder)
-    if mesh_folder is not None:
-        meshes += [shape for path in find_meshes(mesh_folder) for shape in given_shapes(path)]
+    meshes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder) + _shapes_of_folder(mesh_folder)
     held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
     pairs = [_of_scan(pair) for pair in load_training_pairs(meshes, recipe.n_scans, recipe.seed, scan_folder)]
     unseen = load_training_pairs(held_out, N_VALIDATION, VALIDATION_SEED, scan_folder, kinds=SCAN_KINDS)
@@ -178,9 +180,7 @@ def scanned_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | None,
 
 
 def _of_scan(pair: TrainingPair) -> NoisyMesh:
-    return NoisyMesh.untouched(
-        CleanShape(pair.name, "feature", pair.clean_vertices, pair.faces), pair.noisy_vertices
-    )
+    return _measured(pair.name, pair.noisy_vertices, pair.clean_vertices, pair.faces)
 
 
 class PairSource:
@@ -215,5 +215,11 @@ def paired_corpus(folder: Path) -> Corpus:
 
 
 def _read(pair: PairFiles) -> NoisyMesh:
-    noisy, clean, faces = load_pair(pair)
-    return NoisyMesh.untouched(CleanShape(pair.noisy.stem, "feature", clean, faces), noisy)
+    return _measured(pair.noisy.stem, *load_pair(pair))
+
+
+def _measured(
+    name: str, noisy: NDArray[np.float64], clean: NDArray[np.float64], faces: NDArray[np.uint32]
+) -> NoisyMesh:
+    """A noisy mesh that was given with its truth, and to which no noise is added."""
+    return NoisyMesh.untouched(CleanShape(name, "feature", clean, faces), noisy)

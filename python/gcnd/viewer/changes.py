@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from gcnd import _geom
-from gcnd.data.noise import mean_edge_length
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -112,7 +111,7 @@ def compare_meshes(
     """
     normals = [_normals(mesh) for mesh in (before, after)]
     angle = _geom.normal_angles(normals[1], normals[0])
-    edge = mean_edge_length(before.vertices, before.faces) or 1.0
+    edge = _geom.mean_edge_length(before.vertices, before.faces) or 1.0
     displacement = np.linalg.norm(after.vertices - before.vertices, axis=1) / edge
     counted = displacement[_used(before)]
     layers = [_layer("angle", "angular change", "°", "face", angle, angle)]
