@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gcnd import _geom
 from gcnd.errors import MeshError
-from gcnd.formats.atomic import write_atomic
+from gcnd.formats.atomic import write_atomic, write_hint
 from gcnd.formats.export import encode, texture_colors
 from gcnd.formats.glb import check_glb
 from gcnd.formats.obj import read_obj
@@ -28,6 +28,7 @@ from gcnd.formats.parsed import DAMAGED_HINT, ParsedMesh, polygon_error
 from gcnd.formats.ply import read_ply
 from gcnd.formats.scene import merge_scene
 from gcnd.formats.stl import read_stl
+from gcnd.memory import available_bytes
 
 if TYPE_CHECKING:
     import trimesh
@@ -46,6 +47,14 @@ SUPPORTED: tuple[str, ...] = (*_READERS, ".glb")
 """The file extensions that can be read and written."""
 
 _STALE_AFTER_MOVING = ("nx", "ny", "nz")
+
+LARGEST_COORDINATE = 1e150
+"""Beyond it squares of lengths leave the range of numbers."""
+
+_MOST_IDS = 2**32 - 1
+
+_LARGEST_FILE_BESIDE = 1 << 30
+"""Bytes of a material or texture."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +195,7 @@ def save(mesh: Any, path: MeshPath) -> None:
         for name, data in encode(mesh, path).items():
             write_atomic(name, data)
     except OSError as error:
-        raise MeshError(f"cannot write {path}: {error.strerror or error}") from error
+        raise MeshError(f"cannot write {path}: {error.strerror or error}", write_hint(error)) from error
 
 
 def check_output_path(path: MeshPath, input_path: MeshPath | None = None) -> None:
@@ -225,6 +234,15 @@ def _known_extension(path: Path) -> str:
 def _read_bytes(path: Path) -> bytes:
     if path.is_dir():
         raise MeshError(f"{path} is a folder, not a mesh file")
+    if path.exists() and not path.is_file():
+        # A device or a pipe may never end.
+        raise MeshError(f"{path} is no regular file", "write the mesh to a file first")
+    free = available_bytes()
+    if free is not None and path.is_file() and path.stat().st_size > free:
+        raise MeshError(
+            f"{path} has {path.stat().st_size / 1e9:.1f} GB, and {free / 1e9:.1f} GB of memory are free",
+            "close other programs, cut the mesh into parts, or use a machine with more memory",
+        )
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -240,9 +258,29 @@ def _read_glb(data: bytes, path: Path) -> tuple[ParsedMesh, Any]:
     import trimesh
 
     check_glb(data)
-    resolver = trimesh.resolvers.FilePathResolver(str(path))
+    resolver = _files_beside(path.absolute().parent)
     scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", resolver=resolver, process=False)
     return merge_scene(scene)
+
+
+def _files_beside(folder: Path) -> Any:
+    """Gives a reader what a mesh file refers to: ordinary files in its folder or below, of a bounded size."""
+    import trimesh
+
+    class FilesBeside(trimesh.resolvers.FilePathResolver):  # type: ignore[misc, unused-ignore]
+        def get(self, name: str) -> bytes:
+            home = folder.resolve()
+            # Others write full paths of their own machines: the file of that name beside the mesh is meant.
+            for candidate in (name.strip(), os.path.split(name.strip())[-1]):
+                path = (home / candidate).resolve()
+                if not (path.is_relative_to(home) and path.is_file()):
+                    continue
+                if path.stat().st_size > _LARGEST_FILE_BESIDE:
+                    raise ValueError(f"{path} has more than {_LARGEST_FILE_BESIDE:,} bytes")
+                return path.read_bytes()
+            raise FileNotFoundError(name)
+
+    return FilesBeside(str(folder))
 
 
 def _build(parsed: ParsedMesh, arrays: MeshArrays, material: Any, path: Path) -> trimesh.Trimesh:
@@ -278,7 +316,7 @@ def _material(parsed: ParsedMesh, path: Path) -> Any:
     import trimesh
 
     folder = path.absolute().parent
-    resolver = trimesh.resolvers.FilePathResolver(str(folder))
+    resolver = _files_beside(folder)
     simple_material: Any = trimesh.visual.material.SimpleMaterial
     parse_library: Any = trimesh.exchange.obj.parse_mtl
     if "materials" in parsed.metadata:
@@ -337,6 +375,11 @@ def _checked(vertices: NDArray[Any], faces: NDArray[Any]) -> MeshArrays:
         raise MeshError(f"faces have shape {faces.shape}, not (F, 3)")
     if faces.dtype.kind not in "iu":
         raise MeshError(f"faces are of type {faces.dtype}, not integers")
+    for count, what in ((len(vertices), "vertices"), (len(faces), "faces")):
+        if count > _MOST_IDS:
+            raise MeshError(
+                f"{count:,} {what} are too many, allowed: {_MOST_IDS:,}", "cut the mesh into parts"
+            )
     outside = (faces < 0) | (faces >= len(vertices))
     if outside.any():
         face_id, corner = (int(i) for i in np.argwhere(outside)[0])
@@ -352,6 +395,14 @@ def _checked(vertices: NDArray[Any], faces: NDArray[Any]) -> MeshArrays:
         position = tuple(points[vertex_id].tolist())
         raise MeshError(
             f"vertex {vertex_id} is not finite: {position}", "remove it, with the faces around it"
+        )
+    is_far = ~(np.abs(points) <= LARGEST_COORDINATE).all(axis=1)
+    if is_far.any():
+        vertex_id = int(np.argmax(is_far))
+        raise MeshError(
+            f"vertex {vertex_id} is at {tuple(points[vertex_id].tolist())}, "
+            f"allowed: coordinates up to {LARGEST_COORDINATE:g}",
+            "scale the mesh to a size near 1",
         )
     return MeshArrays(points, np.ascontiguousarray(faces, dtype=np.uint32))
 
