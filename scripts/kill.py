@@ -3,8 +3,8 @@
     python scripts/kill.py folder --kills 50 --seed 0
     python scripts/kill.py training --kills 50 --seed 0
 
-SIGKILL, which no process can catch. Runs are repeated from an empty folder until there were so many kills; every one must
-end with exactly the files of an undisturbed run.
+SIGKILL, which no process can catch. Runs are repeated from an empty folder until there were so many kills; every one
+must end with exactly the files of an undisturbed run.
 """
 
 from __future__ import annotations

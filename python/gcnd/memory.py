@@ -9,7 +9,7 @@ from gcnd.errors import MeshError
 __all__ = ["available_bytes", "check_memory", "needed_bytes"]
 
 BYTES_A_FACE = 700
-"""What a mesh in work takes a face, measured 550 between 100,000 and 1,000,000 faces (docs/limits.md), and a quarter."""
+"""A face of a mesh in work: 575 measured between 100,000 and 1,000,000 faces (docs/limits.md), and a quarter."""
 
 _MEMINFO, _CGROUP = Path("/proc/meminfo"), Path("/sys/fs/cgroup")
 

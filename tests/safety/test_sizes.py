@@ -56,7 +56,9 @@ def huge_glb(**accessor: Any) -> bytes:
 
 
 CLAIMS: dict[str, tuple[str, bytes]] = {
-    "text ply, vertices": (".ply", (PLY_HEAD.format(format="ascii", v=HUGE) + PLY_TAIL.format(f=1) + "0 0 0\n").encode()),
+    "text ply, vertices": (
+        ".ply", (PLY_HEAD.format(format="ascii", v=HUGE) + PLY_TAIL.format(f=1) + "0 0 0\n").encode()
+    ),
     "text ply, faces": (
         ".ply",
         (PLY_HEAD.format(format="ascii", v=1) + PLY_TAIL.format(f=HUGE) + "0 0 0\n3 0 0 0\n").encode(),

@@ -1,4 +1,4 @@
-"""Full disks, folders that cannot be written to, and two runs at once: told clearly, nothing half-written, input kept."""
+"""Full disks, folders that cannot be written to, two runs at once: told clearly, nothing half-written, input kept."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_a_full_disk(home: Path, small_disk: Path, capsys: pytest.CaptureFixture
     assert denoise(home, small_disk / "out.ply") == 1
     assert "No space left on device" in capsys.readouterr().err
     assert contents(small_disk) == {"out.ply": b"precious"}
-    with pytest.raises(Exception, match="No space left|I/O error"):
+    with pytest.raises(Exception, match=r"No space left|I/O error"):
         save_tensors(small_disk / "w.safetensors", {"w": torch.ones(1 << 16)}, {})
     assert contents(small_disk) == {"out.ply": b"precious"}
     assert (home / "in.ply").read_bytes() == before

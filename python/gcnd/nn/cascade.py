@@ -16,7 +16,7 @@ Network = TypeVar("Network", bound=nn.Module)
 _CHOICES: dict[str, tuple[str | bool, ...]] = {
     "budget": ("nearest", "random"),
     "voting_region": ("patch", "two_ring", "nobody"),
-    **{name: (False, True) for name in ("vertex_offsets", "scale_space", "roughness")},
+    **dict.fromkeys(("vertex_offsets", "scale_space", "roughness"), (False, True)),
 }
 
 MOST_PASSES, MOST_ITERATIONS = 100, 10_000
