@@ -6,7 +6,16 @@ about it; the command line prints both and shows no traceback.
 
 from __future__ import annotations
 
-__all__ = ["Cancelled", "ConfigError", "GcndError", "MeshError", "WeightsError", "check_count"]
+__all__ = [
+    "Cancelled",
+    "ConfigError",
+    "GcndError",
+    "MeshError",
+    "WeightsError",
+    "check_count",
+    "check_real",
+    "check_whole",
+]
 
 
 class GcndError(Exception):
@@ -47,6 +56,33 @@ class WeightsError(GcndError):
 
 class Cancelled(GcndError):
     """Reports that a progress callback asked to stop; nothing was written or changed."""
+
+
+def check_whole(name: str, value: object, least: int, most: int) -> None:
+    """Checks a whole number that was read from a file, its type included.
+
+    Args:
+        name: Of the parameter.
+        value: What was read.
+        least: Smallest allowed value.
+        most: Largest allowed value.
+
+    Raises:
+        ConfigError: If it is no whole number, or out of range.
+
+    Example:
+        >>> check_whole("passes", "3", 1, 100)
+        Traceback (most recent call last):
+        gcnd.errors.ConfigError: passes is '3', allowed: a whole number, 1 to 100
+    """
+    if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
+        raise ConfigError(f"{name} is {value!r}, allowed: a whole number, {least} to {most}")
+
+
+def check_real(name: str, value: object, least: float, most: float) -> None:
+    """Checks a number that was read from a file, its type included; arguments and errors as of `check_whole`."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
+        raise ConfigError(f"{name} is {value!r}, allowed: a number, {least:g} to {most:g}")
 
 
 def check_count(name: str, value: int | None) -> None:

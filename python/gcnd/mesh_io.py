@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gcnd.errors import MeshError
-from gcnd.formats.atomic import write_atomic
+from gcnd.formats.atomic import write_atomic, write_hint
+from gcnd.formats.beside import resolver_beside
 from gcnd.formats.export import encode
 from gcnd.formats.glb import check_glb
 from gcnd.formats.glb_scene import read_glb_shape
@@ -29,6 +30,7 @@ from gcnd.formats.referred import copies_of_referred
 from gcnd.formats.rewrite import BYTE_ORDER_MARK, rewrite
 from gcnd.formats.scene import merge_scene
 from gcnd.formats.stl import read_stl
+from gcnd.memory import available_bytes
 from gcnd.meshes.arrays import MeshArrays, checked
 from gcnd.meshes.normals import Motion
 from gcnd.meshes.registry import take_apart
@@ -145,7 +147,7 @@ def save(mesh: Any, path: MeshPath, *, like: MeshPath | None = None) -> None:
         for name, data in (files or encode(mesh, path)).items():
             write_atomic(name, data)
     except OSError as error:
-        raise MeshError(f"cannot write {path}: {error.strerror or error}") from error
+        raise MeshError(f"cannot write {path}: {error.strerror or error}", write_hint(error)) from error
 
 
 def _written_again(mesh: Any, source: Path, path: Path) -> dict[Path, bytes] | None:
@@ -232,6 +234,15 @@ def _built(data: bytes, path: Path, shape_only: bool) -> trimesh.Trimesh:
 def _read_bytes(path: Path) -> bytes:
     if path.is_dir():
         raise MeshError(f"{path} is a folder, not a mesh file")
+    if path.exists() and not path.is_file():
+        # A device or a pipe may never end.
+        raise MeshError(f"{path} is no regular file", "write the mesh to a file first")
+    free = available_bytes()
+    if free is not None and path.is_file() and path.stat().st_size > free:
+        raise MeshError(
+            f"{path} has {path.stat().st_size / 1e9:.1f} GB, and {free / 1e9:.1f} GB of memory are free",
+            "close other programs, cut the mesh into parts, or use a machine with more memory",
+        )
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -252,7 +263,7 @@ def _without_mark(data: bytes, extension: str) -> bytes:
 def _read_glb(data: bytes, path: Path) -> tuple[ParsedMesh, Any]:
     import trimesh
 
-    resolver = trimesh.resolvers.FilePathResolver(str(path))
+    resolver = resolver_beside(path.absolute().parent)
     scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", resolver=resolver, process=False)
     return merge_scene(scene)
 
@@ -290,7 +301,7 @@ def _material(parsed: ParsedMesh, path: Path) -> Any:
     import trimesh
 
     folder = path.absolute().parent
-    resolver = trimesh.resolvers.FilePathResolver(str(folder))
+    resolver = resolver_beside(folder)
     simple_material: Any = trimesh.visual.material.SimpleMaterial
     parse_library: Any = trimesh.exchange.obj.parse_mtl
     if "materials" in parsed.metadata:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gcnd import _geom
 from gcnd.errors import GcndError
-from gcnd.formats.atomic import write_atomic
+from gcnd.formats.atomic import write_atomic, write_hint
 from gcnd.mesh_io import MeshArrays
 from gcnd.neighbors import sum_across_edges
 from gcnd.volume import enclosed_volumes, open_edges
@@ -57,28 +57,41 @@ def make_report(
     edge = _geom.mean_edge_length(before.vertices, before.faces)
     lengths = {"mean": ways.mean(), "rms": np.sqrt((ways**2).mean()), "max": ways.max()}
     in_edges = {f"{name}_edges": value / edge if edge else 0.0 for name, value in lengths.items()}
-    return {
-        "versions": {
-            **{name: version(name) for name in ("gcnd", "torch", "numpy")},
-            "python": platform.python_version(),
-        },
-        "method": dict(method),
-        "mesh": {
-            "vertices": len(after),
-            "faces": len(before.faces),
-            "mean_edge_length": edge,
-            **_volumes(before, after),
-        },
-        "seconds": {
-            **{stage: round(taken, 4) for stage, taken in seconds.items()},
-            "total": round(sum(seconds.values()), 4),
-        },
-        "displacement": {
-            **{name: float(value) for name, value in (lengths | in_edges).items()},
-            "moved_vertices": int(np.count_nonzero(ways)),
-        },
-        **_shape_changes(before, after),
-    }
+    return _known(
+        {
+            "versions": {
+                **{name: version(name) for name in ("gcnd", "torch", "numpy")},
+                "python": platform.python_version(),
+            },
+            "method": dict(method),
+            "mesh": {
+                "vertices": len(after),
+                "faces": len(before.faces),
+                "mean_edge_length": edge,
+                **_volumes(before, after),
+            },
+            "seconds": {
+                **{stage: round(taken, 4) for stage, taken in seconds.items()},
+                "total": round(sum(seconds.values()), 4),
+            },
+            "displacement": {
+                **{name: float(value) for name, value in (lengths | in_edges).items()},
+                "moved_vertices": int(np.count_nonzero(ways)),
+            },
+            **_shape_changes(before, after),
+        }
+    )
+
+
+def _known(values: dict[str, Any]) -> dict[str, Any]:
+    """The values with None in place of numbers that JSON cannot hold: what left the range of numbers is not known."""
+
+    def one(value: Any) -> Any:
+        if isinstance(value, dict):
+            return _known(value)
+        return None if isinstance(value, float) and not np.isfinite(value) else value
+
+    return {name: one(value) for name, value in values.items()}
 
 
 def flipped_faces(topology: _geom.Topology, normals: Points) -> int:
@@ -153,7 +166,7 @@ def write_report(path: Path, report: Any) -> None:
     try:
         write_atomic(path, text.encode())
     except OSError as error:
-        raise GcndError(f"cannot write {path}: {error.strerror or error}") from error
+        raise GcndError(f"cannot write {path}: {error.strerror or error}", write_hint(error)) from error
 
 
 def _volumes(before: MeshArrays, after: Points) -> dict[str, float | None]:

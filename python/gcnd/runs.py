@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gcnd import _geom
 from gcnd.controls import Controls
+from gcnd.memory import check_memory
 from gcnd.mesh_io import MeshArrays, load, to_arrays
 from gcnd.report import make_report
 from gcnd.stages import Progress, Stages
@@ -79,6 +80,7 @@ def run_on(
         mesh = load(mesh)
     arrays, rebuild = to_arrays(mesh)
     _geom.validate(arrays.vertices, arrays.faces)
+    check_memory(len(arrays.vertices), len(arrays.faces))
     mesh_once, finish = controls.bind(mesh, arrays)
     moved, confidence = move(mesh_once, stages)
     stages(1.0, "finishing")

@@ -175,8 +175,11 @@ pub struct PyNormalAccumulator {
 #[pymethods]
 impl PyNormalAccumulator {
     #[new]
-    fn new(n_faces: usize) -> Self {
-        Self { inner: Mutex::new(NormalAccumulator::new(n_faces)) }
+    fn new(n_faces: usize) -> PyResult<Self> {
+        if n_faces > u32::MAX as usize {
+            return Err(ConfigError::new_err(format!("n_faces is {n_faces}, allowed: below 2^32")));
+        }
+        Ok(Self { inner: Mutex::new(NormalAccumulator::new(n_faces)) })
     }
 
     fn add_nodes(

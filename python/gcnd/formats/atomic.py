@@ -2,24 +2,94 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import secrets
 import shutil
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-__all__ = ["write_atomic", "write_atomic_npz"]
+__all__ = ["replacing", "write_atomic", "write_atomic_npz", "write_hint"]
+
+_HOST = "".join(letter if letter.isalnum() else "-" for letter in socket.gethostname())[:40]
+
+_HINTS = {
+    errno.ENOSPC: "free some space, or write elsewhere; what stood there is as it was",
+    errno.EDQUOT: "your quota is used up: free some space, or write elsewhere",
+    errno.EFBIG: "the file is larger than this system or its limits allow; write elsewhere",
+    errno.EROFS: "it is mounted read-only: write elsewhere",
+    errno.EACCES: "choose another folder or name",
+    errno.EPERM: "choose another folder or name",
+}
+
+
+def write_hint(error: OSError) -> str | None:
+    """Returns what to do about a failed write, where that is known.
+
+    Example:
+        >>> write_hint(OSError(errno.EROFS, "Read-only file system"))
+        'it is mounted read-only: write elsewhere'
+    """
+    return _HINTS.get(error.errno or 0)
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Gives the name of a file to write, which takes the place of ``path`` in one step when all went well.
+
+    On any failure the file is removed and what stood at `path` stays. What a kill left of an earlier write to `path` is
+    removed. A symbolic link is followed, and an existing file's permissions are kept.
+
+    Args:
+        path: Where the whole file will be.
+
+    Yields:
+        A name in the same folder, hidden, at which there is no file.
+
+    Raises:
+        OSError: If the folder cannot be written to or is full.
+    """
+    target = Path(os.path.realpath(path))
+    # Names have at most 255 bytes.
+    prefix = f".{os.fsencode(target.name)[:120].decode(errors='ignore')}.{_HOST}."
+    _remove_abandoned(target.parent, prefix)
+    partial = target.with_name(f"{prefix}{os.getpid()}.{secrets.token_hex(6)}.tmp")
+    try:
+        yield partial
+        if target.exists():
+            shutil.copymode(target, partial)
+        os.replace(partial, target)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def _remove_abandoned(folder: Path, prefix: str) -> None:
+    """Removes what processes of this machine that are no more have left half-written."""
+    if os.name != "posix":
+        return
+    for name in os.listdir(folder):
+        pid = name.removeprefix(prefix).partition(".")[0]
+        if not (name.startswith(prefix) and name.endswith(".tmp") and pid.isdecimal()):
+            continue
+        try:
+            os.kill(int(pid), 0)
+        except (ProcessLookupError, OverflowError):
+            (folder / name).unlink(missing_ok=True)
+        except PermissionError:
+            continue  # it runs, as somebody else
 
 
 def write_atomic(path: str | os.PathLike[str], data: bytes) -> None:
     """Writes `data` to `path` so that no reader ever sees part of it.
 
-    The bytes go to a temporary file in the same folder, which then takes the name's place in one step; on
-    any failure the temporary file is removed and what stood at `path` stays. A symbolic link is followed,
-    and an existing file's permissions are kept.
+    The bytes go to a temporary file in the same folder, which then takes the name's place in one step; see `replacing`.
 
     Args:
         path: Where to write.
@@ -28,21 +98,10 @@ def write_atomic(path: str | os.PathLike[str], data: bytes) -> None:
     Raises:
         OSError: If the folder cannot be written to or is full.
     """
-    target = Path(os.path.realpath(path))
-    partial = target.with_name(f".{target.name[:200]}.{secrets.token_hex(6)}.tmp")
-    # os.open and not tempfile: the new file must get the permissions that the umask gives any other.
-    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        if target.exists():
-            shutil.copymode(target, partial)
-        os.replace(partial, target)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+    with replacing(path) as partial, partial.open("xb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def write_atomic_npz(path: str | os.PathLike[str], **arrays: Any) -> None:

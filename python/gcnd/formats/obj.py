@@ -77,7 +77,8 @@ def _take_materials(parsed: ParsedMesh, lines: _Lines) -> None:
         parsed.material = names[0]
     elif names:
         starts = [start for start, _ in lines.materials]
-        ids = np.array([-1, *(names.index(name) for _, name in lines.materials)], dtype=np.int32)
+        place = {name: index for index, name in enumerate(names)}
+        ids = np.array([-1, *(place[name] for _, name in lines.materials)], dtype=np.int32)
         face_ids = np.arange(len(lines.faces))
         parsed.face_attributes["material_id"] = ids[np.searchsorted(starts, face_ids, side="right")]
         parsed.metadata["materials"] = names

@@ -44,6 +44,8 @@ def read_off(data: bytes) -> ParsedMesh:
         n_vertices, n_faces = (int(word) for word in lines[0].split()[:2])
     except (IndexError, ValueError):
         raise MeshError("the line of vertex and face counts is missing", DAMAGED_HINT) from None
+    if n_vertices < 0 or n_faces < 0:
+        raise MeshError(f"it announces {n_vertices} vertices and {n_faces} faces", DAMAGED_HINT)
     vertex_rows = [line.split() for line in lines[1 : 1 + n_vertices]]
     face_rows = [line.split() for line in lines[1 + n_vertices : 1 + n_vertices + n_faces]]
     if len(vertex_rows) < n_vertices:
@@ -71,12 +73,14 @@ def _parse_vertices(
 def _parse_faces(rows: Sequence[Sequence[str]]) -> tuple[NDArray[np.int64], NDArray[np.uint8] | None]:
     for face_id, row in enumerate(rows):
         if row[0] != "3":
+            if not row[0].isdecimal():
+                raise MeshError(f"face {face_id} begins with '{row[0][:40]}', not with 3", DAMAGED_HINT)
             raise polygon_error(face_id, int(row[0]))
         if len(row) < 4:
             raise polygon_error(face_id, len(row) - 1)
     try:
         faces = np.array([row[1:4] for row in rows], dtype=np.int64).reshape(-1, 3)
-    except ValueError:
+    except (ValueError, OverflowError):
         raise MeshError("a face has a corner that is no index", DAMAGED_HINT) from None
     return faces, _parse_colors([row[4:8] for row in rows])
 

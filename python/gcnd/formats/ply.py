@@ -145,10 +145,12 @@ def _read_text(data: bytes, header: PlyHeader) -> dict[str, Columns]:
         for p in element.properties:
             if p.count_dtype:
                 counts[f"{p.name} length"] = rows[:, column]
-                values[p.name] = rows[:, column + 1 : column + 1 + lengths[p.name]].astype(p.dtype)
+                values[p.name] = _as_declared(
+                    rows[:, column + 1 : column + 1 + lengths[p.name]], p.dtype, element, p
+                )
                 column += 1 + lengths[p.name]
             else:
-                values[p.name] = rows[:, column].astype(_text_dtype(p))
+                values[p.name] = _as_declared(rows[:, column], _text_dtype(p), element, p)
                 column += 1
         _check_lengths(element, lengths, counts)
         if n_whole < element.count:
@@ -160,6 +162,26 @@ def _read_text(data: bytes, header: PlyHeader) -> dict[str, Columns]:
             f"{len(numbers) - position} numbers follow the data its header announces", DAMAGED_HINT
         )
     return columns
+
+
+def _as_declared(
+    numbers: NDArray[np.float64], dtype: str, element: PlyElement, prop: PlyProperty
+) -> NDArray[Any]:
+    """Text numbers in the type that the header gives them, if that holds them."""
+    kind = np.dtype(dtype)
+    if kind.kind == "f":
+        with np.errstate(over="ignore"):
+            return numbers.astype(kind)
+    # The ends as floats: 2⁶³ − 1 rounds up to one that is too large.
+    fits = (numbers >= float(np.iinfo(kind).min)) & (numbers < float(np.iinfo(kind).max) + 1.0)
+    is_bad = ~(fits & (numbers == np.floor(numbers)))
+    if is_bad.any():
+        first = tuple(np.argwhere(is_bad)[0])
+        raise MeshError(
+            f"'{prop.name}' of {element.name} {first[0]} is {numbers[first]:g}, which is no {kind.name}",
+            DAMAGED_HINT,
+        )
+    return numbers.astype(kind)
 
 
 def _text_dtype(prop: PlyProperty) -> str:

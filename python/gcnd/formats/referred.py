@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
 from gcnd.errors import MeshError
+from gcnd.formats.beside import find_beside
 from gcnd.formats.ply_header import parse_header
 
 __all__ = ["copies_of_referred"]
@@ -35,8 +36,11 @@ def copies_of_referred(data: bytes, source: Path, path: Path) -> dict[Path, byte
     while waiting:
         name = waiting.pop()
         inner = PurePosixPath(name.replace("\\", "/"))
-        found, copy = from_folder / inner, to_folder / inner
-        if inner.is_absolute() or ".." in inner.parts or copy in copies or not found.is_file():
+        copy = to_folder / inner
+        if inner.is_absolute() or ".." in inner.parts or copy in copies:
+            continue
+        found = find_beside(from_folder, name)
+        if found is None:
             continue
         content = found.read_bytes()
         waiting += _textures(content) if inner.suffix.lower() == ".mtl" else []

@@ -9,11 +9,14 @@ from numpy.typing import NDArray
 
 from gcnd.errors import MeshError
 from gcnd.formats.parsed import ParsedMesh, rgba_from_values
+from gcnd.memory import check_memory
 
 if TYPE_CHECKING:
     import trimesh
 
 __all__ = ["merge_scene"]
+
+_PARTS = ("vertices", "faces")
 
 _SPLIT_HINT = "join the parts to one mesh with one material, or write each to its own file"
 
@@ -35,6 +38,10 @@ def merge_scene(scene: trimesh.Scene) -> tuple[ParsedMesh, Any]:
     # trimesh walks a file's nodes from the last to the first; its meshes are in the file's order.
     placements = [scene.graph[node] for node in reversed(scene.graph.nodes_geometry)]
     mesh_order = list(scene.geometry)
+    # One mesh may be placed any number of times: a short file can ask for more than there is memory.
+    check_memory(
+        *(sum(len(getattr(scene.geometry[name], part, ())) for _, name in placements) for part in _PARTS)
+    )
     for transform, name in sorted(placements, key=lambda placement: mesh_order.index(placement[1])):
         geometry = scene.geometry[name]
         if not hasattr(geometry, "faces"):

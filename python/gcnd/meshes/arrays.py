@@ -13,7 +13,12 @@ from gcnd import _geom
 from gcnd.errors import MeshError
 from gcnd.formats.parsed import DAMAGED_HINT, polygon_error
 
-__all__ = ["MeshArrays", "TakenApart", "checked"]
+__all__ = ["LARGEST_COORDINATE", "MeshArrays", "TakenApart", "checked"]
+
+LARGEST_COORDINATE = 1e150
+"""Beyond it squares of lengths leave the range of numbers."""
+
+_MOST_IDS = 2**32 - 1
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,11 @@ def checked(vertices: NDArray[Any], faces: NDArray[Any]) -> MeshArrays:
         raise MeshError(f"faces have shape {faces.shape}, not (F, 3)")
     if faces.dtype.kind not in "iu":
         raise MeshError(f"faces are of type {faces.dtype}, not integers")
+    for count, what in ((len(vertices), "vertices"), (len(faces), "faces")):
+        if count > _MOST_IDS:
+            raise MeshError(
+                f"{count:,} {what} are too many, allowed: {_MOST_IDS:,}", "cut the mesh into parts"
+            )
     outside = (faces < 0) | (faces >= len(vertices))
     if outside.any():
         face_id, corner = (int(i) for i in np.argwhere(outside)[0])
@@ -100,5 +110,13 @@ def checked(vertices: NDArray[Any], faces: NDArray[Any]) -> MeshArrays:
         position = tuple(points[vertex_id].tolist())
         raise MeshError(
             f"vertex {vertex_id} is not finite: {position}", "remove it, with the faces around it"
+        )
+    is_far = ~(np.abs(points) <= LARGEST_COORDINATE).all(axis=1)
+    if is_far.any():
+        vertex_id = int(np.argmax(is_far))
+        raise MeshError(
+            f"vertex {vertex_id} is at {tuple(points[vertex_id].tolist())}, "
+            f"allowed: coordinates up to {LARGEST_COORDINATE:g}",
+            "scale the mesh to a size near 1",
         )
     return MeshArrays(points, np.ascontiguousarray(faces, dtype=np.uint32))

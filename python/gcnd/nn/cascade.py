@@ -7,10 +7,20 @@ from typing import Any, Literal, TypeVar
 
 from torch import nn
 
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, check_real, check_whole
 from gcnd.nn.networks import CentreNormalNet, NetworkConfig, NodeNormalNet, build_network
 
 Network = TypeVar("Network", bound=nn.Module)
+
+
+_CHOICES: dict[str, tuple[str | bool, ...]] = {
+    "budget": ("nearest", "random"),
+    "voting_region": ("patch", "two_ring", "nobody"),
+    **dict.fromkeys(("vertex_offsets", "scale_space", "roughness"), (False, True)),
+}
+
+MOST_PASSES, MOST_ITERATIONS = 100, 10_000
+"""What a weights file may ask for: a run must end."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +49,15 @@ class PatchConfig:
     vertex_offsets: bool = True
     scale_space: bool = False
     roughness: bool = False
+
+    def __post_init__(self) -> None:
+        check_real("patch_scale", self.patch_scale, 2.0, 10.0)
+        check_whole("n_nodes", self.n_nodes, 16, 512)
+        check_real("sigma_vote", self.sigma_vote, 1e-6, 1e6)
+        for name, allowed in _CHOICES.items():
+            value = getattr(self, name)
+            if not any(value is one or (isinstance(value, str) and value == one) for one in allowed):
+                raise ConfigError(f"{name} is {value!r}, allowed: {', '.join(map(str, allowed))}")
 
     @property
     def n_channels(self) -> int:
@@ -71,8 +90,7 @@ class StageConfig:
                 f"the network takes {self.network.in_channels} channels, its patches have "
                 f"{self.patch.n_channels}"
             )
-        if self.passes < 1:
-            raise ConfigError(f"passes is {self.passes}, allowed: 1 or more")
+        check_whole("passes", self.passes, 1, MOST_PASSES)
         if self.coverage is not None and not 0 < self.coverage < float("inf"):
             raise ConfigError(f"coverage is {self.coverage}, allowed: above 0, or none for a patch a face")
         if not self.network.predicts_nodes and self.coverage is not None:
@@ -89,10 +107,10 @@ class StageConfig:
             return cls(
                 network=NetworkConfig.from_dict(values["network"]),
                 patch=PatchConfig(**values["patch"]),
-                passes=int(values["passes"]),
+                passes=values["passes"],
                 coverage=None if values["coverage"] is None else float(values["coverage"]),
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"stage configuration does not fit: {error}") from error
 
 
@@ -116,9 +134,8 @@ class RefinementConfig:
     largest_spread: float | None = None
 
     def __post_init__(self) -> None:
-        if not self.iterations >= 0:
-            raise ConfigError(f"iterations is {self.iterations}, allowed: 0 or more")
-        if not self.sigma_r > 0:
+        check_whole("iterations", self.iterations, 0, MOST_ITERATIONS)
+        if not 0 < self.sigma_r < float("inf"):
             raise ConfigError(f"sigma_r is {self.sigma_r}, allowed: above 0")
         if self.tolerance is not None and not self.tolerance >= 0:
             raise ConfigError(f"tolerance is {self.tolerance}, allowed: 0 or more, or none")
@@ -140,6 +157,9 @@ class CascadeConfig:
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     vertex_iterations: int = 15
 
+    def __post_init__(self) -> None:
+        check_whole("vertex_iterations", self.vertex_iterations, 0, MOST_ITERATIONS)
+
     def to_dict(self) -> dict[str, Any]:
         """Returns the configuration as JSON-ready values."""
         return asdict(self)
@@ -151,9 +171,9 @@ class CascadeConfig:
             return cls(
                 stages=tuple(StageConfig.from_dict(stage) for stage in values["stages"]),
                 refinement=RefinementConfig(**values["refinement"]),
-                vertex_iterations=int(values["vertex_iterations"]),
+                vertex_iterations=values["vertex_iterations"],
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"cascade configuration does not fit: {error}") from error
 
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, check_real, check_whole
 from gcnd.nn.layers import DynamicEdgeConv, EdgeConv, NodeBatchNorm, NormOrder
 from gcnd.nn.ops import pool_nodes
 from gcnd.nn.transformer import SpatialTransformer, TransformedNet
@@ -23,6 +23,8 @@ from gcnd.nn.transformer import SpatialTransformer, TransformedNet
 NORMAL = slice(3, 6)
 """Where a node's own normal stands among its features."""
 
+
+MOST_CHANNELS = 1 << 16
 
 Architecture = Literal["centre", "nodes", "transformed-centre", "transformed-nodes"]
 
@@ -66,6 +68,12 @@ class NetworkConfig:
             raise ConfigError("a network needs at least one static or dynamic layer")
         if not self.head_channels:
             raise ConfigError("head_channels is empty, allowed: one or more layers")
+        for name in ("static_channels", "dynamic_channels", "head_channels"):
+            for channels in getattr(self, name):
+                check_whole(name, channels, 1, MOST_CHANNELS)
+        check_whole("pool_channels", self.pool_channels, 1, MOST_CHANNELS)
+        check_whole("knn_k", self.knn_k, 1, 512)
+        check_real("slope", self.slope, 0.0, 1.0)
 
     @property
     def predicts_nodes(self) -> bool:

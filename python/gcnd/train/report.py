@@ -59,17 +59,27 @@ def read_log(run: Path) -> list[dict[str, Any]]:
     if not path.is_file():
         raise ConfigError(f"no training run in {run}", hint="give the folder that gcnd train wrote to")
     by_step: dict[tuple[int, int], dict[str, Any]] = {}
-    texts = path.read_text(encoding="utf-8").split("\n")
+    texts = path.read_text(encoding="utf-8", errors="replace").split("\n")
     # Every whole line ends with a line break; what a kill cut short stands after the last one.
     for number, text in enumerate(texts[:-1], start=1):
         try:
             line = json.loads(text)
             by_step[line["stage"], line["step"]] = line
-        except (json.JSONDecodeError, KeyError, TypeError) as error:
+            _check_line(line)
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ConfigError(f"line {number} of {path} is damaged: {text[:60]!r}") from error
     if not by_step:
         raise ConfigError(f"{path} holds no line yet", hint="wait for the first hundred steps")
     return [by_step[key] for key in sorted(by_step)]
+
+
+def _check_line(line: dict[str, Any]) -> None:
+    """Raises ValueError or KeyError unless a line has the numbers that a report shows."""
+    for name, kind in {"stage": int, "step": int, "loss": float, "patches_per_second": float}.items():
+        if not isinstance(line[name], int | float) or (kind is int and not isinstance(line[name], int)):
+            raise ValueError(name)
+    if not isinstance(line.get("validation_e_a", 0.0), int | float):
+        raise ValueError("validation_e_a")
 
 
 def _table(lines: list[dict[str, Any]]) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from typing import TYPE_CHECKING, Any
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from gcnd.errors import WeightsError
+from gcnd.formats.atomic import replacing
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,16 +21,12 @@ _HEADER = "gcnd"
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], header: dict[str, Any]) -> None:
     """Writes tensors and a JSON header to ``path`` so that a kill leaves the old file or the new one."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with replacing(path) as partial:
         save_file(
             {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()},
             partial,
             metadata={_HEADER: json.dumps(header, sort_keys=True)},
         )
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def load_header(path: Path) -> dict[str, Any]:
@@ -52,7 +48,9 @@ def _read(path: Path, with_tensors: bool) -> tuple[dict[str, Tensor], dict[str, 
             names = file.keys() if with_tensors else []
             tensors = {name: file.get_tensor(name) for name in names}
         header: dict[str, Any] = json.loads(metadata[_HEADER])
-    except (SafetensorError, OSError, ValueError) as error:
+        if not isinstance(header, dict):
+            raise ValueError("its description is no object")
+    except (SafetensorError, OSError, ValueError, RecursionError) as error:
         raise WeightsError(
             f"cannot read {path}: {error}", hint="the file is not a weights file, or it is cut short"
         ) from error

@@ -20,6 +20,9 @@ LAYOUT_VERSION = 2
 
 _FOLDER = Path(__file__).parent
 
+_CARD = {"description": str, "n_parameters": int, "licence": str, "sha256": str}
+"""What every card must say."""
+
 _SHIPPED = ("default", "fast", "paper")
 """Presets with weights in the package: ``<name>.safetensors`` with its card ``<name>.json``."""
 
@@ -107,8 +110,16 @@ def load_cascade(preset: str, device: torch.device | str = "cpu") -> Cascade:
         ConfigError: No such preset, or the device is not there.
         WeightsError: The file cannot be read, its hash or its layout does not match.
     """
+    import torch
+
     target = checked_device(device)
-    return load_trainable(preset).for_inference().to(target)
+    cascade = load_trainable(preset).for_inference()
+    for name, tensor in cascade.state_dict().items():
+        if tensor.is_floating_point() and not torch.isfinite(tensor).all():
+            raise WeightsError(
+                f"{preset}: {name} leaves the range of numbers once its BatchNorm is folded in"
+            )
+    return cascade.to(target)
 
 
 def load_trainable(preset: str) -> Cascade:
@@ -117,8 +128,9 @@ def load_trainable(preset: str) -> Cascade:
     if preset in _SHIPPED:
         _check_hash(path, _load_card(preset)["sha256"])
     tensors, header = load_tensors(path)
-    cascade = Cascade(_cascade_config(path, header))
-    _check_layout(path, cascade, tensors)
+    config = _cascade_config(path, header)
+    _check_tensors(path, config, tensors)
+    cascade = Cascade(config)
     cascade.load_state_dict(tensors)
     return cascade
 
@@ -148,8 +160,11 @@ def _load_card(name: str) -> dict[str, Any]:
     path = _FOLDER / f"{name}.json"
     try:
         card: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise WeightsError(f"cannot read the model card {path}: {error}", hint="reinstall gcnd") from error
+    for key, kind in _CARD.items():
+        if not isinstance(card, dict) or not isinstance(card.get(key), kind):
+            raise WeightsError(f"the model card {path} has no {key}", hint="reinstall gcnd")
     return card
 
 
@@ -180,8 +195,16 @@ def _check_hash(path: Path, expected: str) -> None:
         )
 
 
-def _check_layout(path: Path, cascade: Cascade, tensors: dict[str, Any]) -> None:
-    wanted = {name: tuple(tensor.shape) for name, tensor in cascade.state_dict().items()}
+def _check_tensors(path: Path, config: CascadeConfig, tensors: dict[str, Any]) -> None:
+    """Checks tensors against the description in the same file, before anything of the described size is allocated."""
+    import torch
+
+    try:
+        with torch.device("meta"):
+            described = Cascade(config).state_dict()
+    except (RuntimeError, TypeError, ValueError, OverflowError) as error:
+        raise WeightsError(f"{path} describes networks that cannot be: {error}") from error
+    wanted = {name: tuple(tensor.shape) for name, tensor in described.items()}
     found = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     for name in sorted(wanted.keys() | found.keys()):
         if wanted.get(name) != found.get(name):
@@ -189,6 +212,11 @@ def _check_layout(path: Path, cascade: Cascade, tensors: dict[str, Any]) -> None
                 f"{path} does not fit its own description: {name} has shape {found.get(name)}, "
                 f"expected {wanted.get(name)}"
             )
+    for name, tensor in tensors.items():
+        if tensor.is_floating_point() != described[name].is_floating_point():
+            raise WeightsError(f"{path}: {name} has type {tensor.dtype}, expected {described[name].dtype}")
+        if tensor.is_floating_point() and not torch.isfinite(tensor).all():
+            raise WeightsError(f"{path}: {name} has values that are not finite")
 
 
 __all__ = [

@@ -43,6 +43,9 @@ impl Default for L0Params {
     }
 }
 
+/// Steps from `beta` to `beta_max` at most.
+const MAX_ITERATIONS: f64 = 20_000.0;
+
 impl L0Params {
     /// Checks the ranges.
     ///
@@ -58,7 +61,14 @@ impl L0Params {
         check_positive("beta", self.beta)?;
         check_positive("beta_max", self.beta_max)?;
         let is_growth = self.mu_beta >= 1.001 && self.mu_beta.is_finite();
-        check_parameter("mu_beta", self.mu_beta, is_growth, "1.001 or more, finite")
+        check_parameter("mu_beta", self.mu_beta, is_growth, "1.001 or more, finite")?;
+        let is_reached = (self.beta_max / self.beta).ln() <= MAX_ITERATIONS * self.mu_beta.ln();
+        check_parameter(
+            "beta",
+            self.beta,
+            is_reached,
+            "so near to beta_max that mu_beta takes it there in 20000 steps",
+        )
     }
 
     /// β of every iteration.
@@ -185,6 +195,8 @@ mod tests {
             ("beta", L0Params { beta: 0.0, ..default }),
             ("beta_max", L0Params { beta_max: f64::INFINITY, ..default }),
             ("mu_beta", L0Params { mu_beta: 1.0, ..default }),
+            // Times 1.001 and rounded it stays what it is.
+            ("beta", L0Params { beta: 5e-324, mu_beta: 1.001, ..default }),
         ];
         for (expected, params) in cases {
             match denoised(&fixtures::cube(), &params) {

@@ -1,0 +1,67 @@
+"""How much memory there is and how much a mesh will take: out of memory is told before the work, not by the system."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gcnd.errors import MeshError
+
+__all__ = ["available_bytes", "check_memory", "needed_bytes"]
+
+BYTES_A_FACE = 700
+"""A face of a mesh in work: 575 measured between 100,000 and 1,000,000 faces (docs/limits.md), and a quarter."""
+
+_MEMINFO, _CGROUP = Path("/proc/meminfo"), Path("/sys/fs/cgroup")
+
+
+def available_bytes() -> int | None:
+    """Returns how much memory a process may still take, or None where the system does not say.
+
+    On Linux what is free or can be freed, and no more than the control group leaves.
+    """
+    try:
+        lines = dict(line.split(":", 1) for line in _MEMINFO.read_text(encoding="ascii").splitlines())
+        free = int(lines["MemAvailable"].split()[0]) * 1024
+    except (OSError, KeyError, ValueError):
+        return None
+    try:
+        limit = int((_CGROUP / "memory.max").read_text(encoding="ascii"))
+        used = int((_CGROUP / "memory.current").read_text(encoding="ascii"))
+    except (OSError, ValueError):  # another system, or a group without a limit, which says "max"
+        return free
+    return max(0, min(free, limit - used))
+
+
+def needed_bytes(n_vertices: int, n_faces: int) -> int:
+    """Estimates what denoising a mesh takes on top of the program itself.
+
+    Args:
+        n_vertices: V; a mesh has half as many as faces, and only what goes beyond that is counted apart.
+        n_faces: F.
+
+    Returns:
+        Bytes.
+
+    Example:
+        >>> needed_bytes(500_000, 1_000_000)
+        700000000
+    """
+    return BYTES_A_FACE * n_faces + 200 * max(0, n_vertices - n_faces // 2)
+
+
+def check_memory(n_vertices: int, n_faces: int) -> None:
+    """Checks that there is memory for a mesh, before any long work.
+
+    Args:
+        n_vertices: V.
+        n_faces: F.
+
+    Raises:
+        MeshError: There is too little.
+    """
+    needed, free = needed_bytes(n_vertices, n_faces), available_bytes()
+    if free is not None and needed > free:
+        raise MeshError(
+            f"{n_faces:,} faces need about {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free",
+            "close other programs, cut the mesh into parts, or use a machine with more memory",
+        )
