@@ -16,6 +16,7 @@ from gcnd.data.noise import add_noise
 from gcnd.data.shapes import Shape
 from gcnd.errors import ConfigError, GcndError, MeshError
 from gcnd.mesh_io import save
+from gcnd.scans import simulate
 
 
 def collect(dataset: Path | str, plan: NoisePlan | None = None, **options: object) -> list[Case]:
@@ -39,6 +40,25 @@ def test_a_clean_folder_gets_every_kind_at_every_level(tmp_path: Path) -> None:
     assert np.array_equal(last.noisy, noisy)
     assert last.digest == cases[-1].load().digest
     assert len({case.load().digest for case in cases[:4]}) == 4
+
+
+def test_a_scan_is_one_case_whatever_the_levels_and_has_faces_of_its_own(tmp_path: Path) -> None:
+    write_meshes(tmp_path, "a.ply")
+    cases = collect(tmp_path, NoisePlan(("kinect2", "print", "gaussian"), (0.1, 0.2), seed=3))
+    assert [(case.noise, case.level) for case in cases] == [
+        ("kinect2", "scan"),
+        ("print", "scan"),
+        ("gaussian", "0.1"),
+        ("gaussian", "0.2"),
+    ]
+    frame, printed, clean = (case.load() for case in cases[:3])
+    mesh = ball()
+    pair = simulate("kinect2", clean.truth, mesh.faces, seed=3)
+    assert np.array_equal(frame.noisy, pair.noisy_vertices)
+    assert np.array_equal(frame.truth, pair.clean_vertices)
+    assert np.array_equal(frame.faces, pair.faces)
+    assert np.array_equal(printed.faces, mesh.faces), "a print keeps the mesh's faces"
+    assert frame.digest == cases[0].load().digest
 
 
 def write_pairs(folder: Path) -> Path:

@@ -46,7 +46,9 @@ def run(
         list[str] | None,
         typer.Option(help="Names, commas between; docs/compare.md.", show_default="presets,classical"),
     ] = None,
-    noise: Annotated[str, typer.Option(help="Kinds of noise for clean meshes, commas between.")] = "gaussian",
+    noise: Annotated[
+        str, typer.Option(help="Kinds of noise or scans for clean meshes, commas between.")
+    ] = "gaussian",
     levels: Annotated[str, typer.Option(help="Of the noise, in mean edge lengths.")] = "0.1,0.2,0.3",
     fraction: Annotated[float, typer.Option(help="Of the vertices that impulsive noise moves.")] = 0.3,
     seed: Seed = 0,

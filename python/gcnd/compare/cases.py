@@ -17,6 +17,7 @@ from gcnd.data.noise import NOISE_KINDS, FaceArray, FloatArray, NoiseKind, add_n
 from gcnd.data.pairs import PairFiles, Split, list_pairs, load_pair
 from gcnd.errors import ConfigError
 from gcnd.mesh_io import load, to_arrays
+from gcnd.scans import SCAN_KINDS, ScanKind, simulate
 
 __all__ = ["BUILTIN", "FIRST_SHAPE_SEED", "Case", "CaseMesh", "NoisePlan", "collect_cases"]
 
@@ -25,6 +26,9 @@ BUILTIN = "builtin"
 
 FIRST_SHAPE_SEED = 1_000_100
 """Seed of the first generated shape: none that weights were trained or validated on."""
+
+SCAN_LEVEL = "scan"
+"""What stands in the place of a level where the scanner says how noisy a mesh is."""
 
 _PAIR_PARTS = ("noisy", "original")
 
@@ -59,8 +63,8 @@ class Case:
     Attributes:
         mesh: Name of the clean mesh.
         kind: "cad", "smooth" or "feature"; other folders' names, or "mesh", where files have none.
-        noise: Kind of noise; "given" for pairs.
-        level: Of the noise, as text: mean edge lengths, or what a pair's file is called after its mesh.
+        noise: Kind of noise, or of scan; "given" for pairs.
+        level: Of the noise, as text: mean edge lengths, `SCAN_LEVEL`, or what a pair's file is called after its mesh.
         load: Reads or makes the arrays; the same at each call.
     """
 
@@ -73,13 +77,13 @@ class Case:
 
 @dataclass(frozen=True)
 class NoisePlan:
-    """Says which noise clean meshes are given: every kind at every level.
+    """Says which noise clean meshes are given: every kind at every level, and of every kind of scan one.
 
     Attributes:
-        kinds: Of `gcnd.data.noise`.
-        levels: In mean edge lengths.
+        kinds: Of `gcnd.data.noise` and `gcnd.scans`.
+        levels: Of noise, in mean edge lengths; a scan is one as the scanner makes it.
         fraction: Of the vertices that impulsive noise moves.
-        seed: Of the noise.
+        seed: Of the noise and the scans.
     """
 
     kinds: tuple[str, ...] = ("gaussian",)
@@ -93,9 +97,10 @@ class NoisePlan:
         Raises:
             ConfigError: An unknown kind, a level or a fraction out of range, or nothing to do.
         """
-        unknown = [kind for kind in self.kinds if kind not in NOISE_KINDS]
+        known = (*NOISE_KINDS, *SCAN_KINDS)
+        unknown = [kind for kind in self.kinds if kind not in known]
         if unknown or not self.kinds:
-            hint = f"kinds are {', '.join(NOISE_KINDS)}"
+            hint = f"kinds are {', '.join(known)}"
             raise ConfigError(f"unknown noise {unknown[0]!r}" if unknown else "no noise is named", hint)
         bad = [level for level in self.levels if not 0 <= level <= 10]
         if bad or not self.levels:
@@ -186,6 +191,13 @@ def _generated(n: int, plan: NoisePlan, folder: Path) -> list[Case]:
 def _noisy(name: str, kind: str, truth: FloatArray, faces: FaceArray, plan: NoisePlan) -> list[Case]:
     cases = []
     for noise in plan.kinds:
+        if noise in SCAN_KINDS:
+
+            def scan(noise: str = noise) -> CaseMesh:
+                return CaseMesh(*simulate(cast(ScanKind, noise), truth, faces, seed=plan.seed))
+
+            cases.append(Case(name, kind, noise, SCAN_LEVEL, scan))
+            continue
         for level in plan.levels:
 
             def make(noise: str = noise, level: float = level) -> CaseMesh:

@@ -14,6 +14,9 @@ pub const ROUGHNESS_QUANTILES: [f64; 4] = [0.1, 0.25, 0.5, 0.9];
 /// Smallest and largest roughness that is told apart, in √ā.
 const RANGE: (f64, f64) = (1e-4, 10.0);
 
+/// Beyond it sums and squares may leave the range of numbers.
+const LARGEST_COORDINATE: f64 = 1e100;
+
 /// Quantiles of |n_i · (M − 1)² v_i| over the vertices in mesh units, for the shares in [`ROUGHNESS_QUANTILES`].
 ///
 /// M is the mean over a vertex's faces of their centroids, n_i the mean normal of its faces weighted by area. (M − 1)²
@@ -40,6 +43,11 @@ pub fn mesh_roughness(topology: &Topology, vertices: &[DVec3]) -> Result<[f64; R
         return Err(GeomError::EmptyMesh);
     }
     check_vertices(vertices)?;
+    let largest = vertices.iter().fold(0.0_f64, |most, v| most.max(v.abs().max_element()));
+    if largest > LARGEST_COORDINATE {
+        let near: Vec<DVec3> = vertices.iter().map(|&v| v / largest).collect();
+        return Ok(mesh_roughness(topology, &near)?.map(|roughness| roughness * largest));
+    }
     let mut sizes = deviations(topology, vertices);
     Ok(ROUGHNESS_QUANTILES.map(|share| if sizes.is_empty() { 0.0 } else { quantile(&mut sizes, share) }))
 }
@@ -99,6 +107,19 @@ mod tests {
         let expected = 1e-3 * (-2.0 / 9.0 + 2.0 / 27.0 + 2.0 / 3.0);
         assert!((sizes[middle] - expected).abs() < 1e-8, "{} {expected}", sizes[middle]);
         assert!(sizes[0] < 1e-12);
+    }
+
+    #[test]
+    fn coordinates_near_the_end_of_the_range_of_numbers() {
+        let (mut vertices, faces) = fixtures::icosphere(3);
+        fixtures::jitter(&mut vertices, 0.02, 5);
+        let topology = Topology::new(faces, vertices.len()).expect("valid");
+        let expected = mesh_roughness(&topology, &vertices).expect("valid");
+        let far: Vec<DVec3> = vertices.iter().map(|&v| v * 8e307).collect();
+        let found = mesh_roughness(&topology, &far).expect("valid");
+        for k in 0..4 {
+            assert!((found[k] / 8e307 / expected[k] - 1.0).abs() < 1e-9, "{found:?} {expected:?}");
+        }
     }
 
     #[test]
