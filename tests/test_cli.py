@@ -63,7 +63,7 @@ def test_denoise_passes_every_option_on(
 def test_denoise_defaults(mesh_path: Path, denoise_calls: list[dict[str, Any]]) -> None:
     assert main(["denoise", str(mesh_path), str(mesh_path.with_name("out.ply"))]) == 0
     (call,) = denoise_calls
-    assert (call["preset"], call["device"], call["seed"]) == ("default", "cpu", 0)
+    assert (call["preset"], call["device"], call["seed"]) == ("auto", "cpu", 0)
     assert (call["normal_iterations"], call["vertex_iterations"]) == (None, None)
     assert {name: call[name] for name in Controls().described()} == Controls().described()
 
@@ -317,7 +317,7 @@ def test_models(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
         "file_bytes": 2_500_000,
         "licence": "MIT",
         "sha256": "ab" * 32,
-        "default": True,
+        "auto": True,
     }
     card = {
         "data": {"shapes": 12, "meshes": [{"names": "a, b"}, {"names": "c"}]},
@@ -331,7 +331,7 @@ def test_models(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
     assert main(["models", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == [fields | card, fields]
     assert main(["models"]) == 0
-    head = "small (default): 1,234,567 weights, 2.5 MB, MIT\n    For tests.\n"
+    head = "small (auto): 1,234,567 weights, 2.5 MB, MIT\n    For tests.\n"
     assert capsys.readouterr().out == (
         head + "    12,345 faces/s on two cores\n"
         "    trained on 12 generated shapes and 3 openly licensed meshes\n"

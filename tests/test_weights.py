@@ -14,6 +14,7 @@ import torch
 from safetensors.torch import save_file
 from torch import nn
 
+from gcnd.auto import CANDIDATES
 from gcnd.denoise import denoise
 from gcnd.errors import ConfigError, GcndError, WeightsError
 from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, RefinementConfig, StageConfig
@@ -248,7 +249,7 @@ def test_a_shipped_preset_loads_by_name_and_by_path(shipped: Path) -> None:
     assert load_cascade(str(shipped / "tiny.safetensors")).config == CONFIG
     (model,) = list_models()
     assert (model.name, model.description, model.n_parameters) == ("tiny", "for a test", 123)
-    assert (model.licence, model.default) == ("CC0-1.0", True)
+    assert (model.licence, model.auto) == ("CC0-1.0", False)
     assert model.file_bytes == (shipped / "tiny.safetensors").stat().st_size
     assert model.sha256 == model.card["sha256"]
 
@@ -302,4 +303,4 @@ def test_the_card_states_what_the_file_holds(name: str) -> None:
     assert models[name].n_parameters == sum(p.numel() for p in Cascade(config).parameters())
     assert all(torch.isfinite(tensor).all() for tensor in tensors.values() if tensor.is_floating_point())
     assert len(models[name].description) > 10
-    assert [model.default for model in list_models()].count(True) == 1
+    assert {model.name for model in list_models() if model.auto} == {*CANDIDATES}

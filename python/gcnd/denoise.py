@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from gcnd import _geom
+from gcnd.auto import AUTO
 from gcnd.controls import Controls
 from gcnd.predict import agreement, fast_precision, predict_normals, refined
 from gcnd.stages import Progress, Stages
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 def denoise(
     mesh: Any,
     *,
-    preset: str = "default",
+    preset: str = AUTO,
     device: torch.device | str = "cpu",
     seed: int = 0,
     normal_iterations: int | None = None,
@@ -51,7 +52,8 @@ def denoise(
     Args:
         mesh: A mesh of trimesh, pyvista, open3d or meshio, a pair (vertices (V, 3), faces (F, 3)) of numpy or torch
             arrays, or a path; see ``gcnd.mesh_io.to_arrays``.
-        preset: Name of shipped weights (``gcnd models`` lists them), or the path of a weights file.
+        preset: "auto" for "scan" where the mesh shows a camera's pixels or voxels, see ``gcnd.auto``, and "default"
+            otherwise; the name of shipped weights (``gcnd models`` lists them); or the path of a weights file.
         device: "cpu", or "cuda" where torch has it.
         seed: Chooses the patches that cover the mesh; the same seed gives the same result on the CPU.
         normal_iterations: m, iterations of normal refinement (Eq. 5) on every face after the last stage; 0 is none.

@@ -5,17 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gcnd import _geom
+from gcnd.auto import AUTO, CANDIDATES, choose_preset, read_signs
 from gcnd.controls import Controls
 from gcnd.denoise import clean_arrays
 from gcnd.errors import ConfigError, WeightsError, check_count
 from gcnd.predict import fast_precision
-from gcnd.runs import Denoised, run_on
+from gcnd.runs import Denoised, Moved, run_on
 from gcnd.weights import load_cascade, weights_hash
 
 if TYPE_CHECKING:
-    import numpy as np
     import torch
-    from numpy.typing import NDArray
 
     from gcnd.mesh_io import MeshArrays
     from gcnd.nn.fold import Precision
@@ -29,6 +29,8 @@ class Denoiser:
 
     Threads may share one: a run changes nothing in it. Pickled, it is the name or path of the weights and their hash,
     with the settings; who unpickles it reads the weights again and checks that they are the same.
+
+    With preset "auto" the weights of every candidate are held, and each mesh gets those that suit it.
 
     Args:
         preset: See ``denoise``, as all others but
@@ -48,7 +50,7 @@ class Denoiser:
 
     def __init__(
         self,
-        preset: str = "default",
+        preset: str = AUTO,
         *,
         device: torch.device | str = "cpu",
         seed: int = 0,
@@ -67,8 +69,9 @@ class Denoiser:
             "vertex_iterations": vertex_iterations,
             "precision": precision,
         }
-        self.cascade = load_cascade(preset, device)
-        self.sha256 = weights_hash(preset)
+        names = CANDIDATES if self.preset == AUTO else (self.preset,)
+        self.hashes = {name: weights_hash(name) for name in names}
+        self._load()
 
     def __call__(self, mesh: Any, *, progress: Progress | None = None) -> Any:
         """Denoises one mesh; arguments, result and errors as of ``denoise``."""
@@ -93,33 +96,49 @@ class Denoiser:
             Cancelled: ``progress`` returned False.
         """
 
-        def move(mesh: MeshArrays, stages: Stages) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        def move(mesh: MeshArrays, stages: Stages) -> Moved:
+            chosen = self._choose(mesh)
+            cascade = self.cascades[chosen["preset"]]
             cleaned = clean_arrays(
-                mesh.vertices, mesh.faces, self.cascade, device=self.device, stages=stages, **self.settings
+                mesh.vertices, mesh.faces, cascade, device=self.device, stages=stages, **self.settings
             )
-            return cleaned.vertices, cleaned.confidence
+            return Moved(cleaned.vertices, cleaned.confidence, chosen)
 
-        method = {"preset": self.preset, "sha256": self.sha256, "device": self.device, **self.settings}
+        method = {"device": self.device, **self.settings}
         method["precision"] = self.settings["precision"] or fast_precision(self.device)
         return run_on(mesh, move, controls or self.controls, method, progress)
 
+    def _choose(self, mesh: MeshArrays) -> dict[str, Any]:
+        """The preset for a mesh with what there is to say of it."""
+        if self.preset != AUTO:
+            return {"preset": self.preset, "sha256": self.hashes[self.preset]}
+        topology = _geom.Topology(mesh.faces, len(mesh.vertices))
+        signs = read_signs(topology, mesh.vertices, mesh.faces)
+        choice = choose_preset(signs)
+        return {**choice.described(signs), "sha256": self.hashes[choice.preset]}
+
     def check_confidence(self) -> None:
         """Raises ``ConfigError`` where the weights predict each face once, so that there is nothing to compare."""
-        if self.cascade.config.stages[-1].coverage is None:
+        if any(cascade.config.stages[-1].coverage is None for cascade in self.cascades.values()):
             raise ConfigError(f"{self.preset} predicts each face once: there is no confidence")
 
+    def _load(self) -> None:
+        self.cascades = {name: load_cascade(name, self.device) for name in self.hashes}
+
     def __getstate__(self) -> dict[str, Any]:
-        state = {name: value for name, value in vars(self).items() if name != "cascade"}
+        state = {name: value for name, value in vars(self).items() if name != "cascades"}
         if self.preset.endswith(".safetensors"):
-            state["preset"] = str(Path(self.preset).resolve())
+            path = str(Path(self.preset).resolve())
+            state |= {"preset": path, "hashes": {path: self.hashes[self.preset]}}
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        found = weights_hash(state["preset"])
-        if found != state["sha256"]:
-            raise WeightsError(
-                f"the weights {state['preset']} have hash {found[:12]}… here and had {state['sha256'][:12]}…",
-                hint="give every machine the same weights",
-            )
+        for name, expected in state["hashes"].items():
+            found = weights_hash(name)
+            if found != expected:
+                raise WeightsError(
+                    f"the weights {name} have hash {found[:12]}… here and had {expected[:12]}…",
+                    hint="give every machine the same weights",
+                )
         self.__dict__.update(state)
-        self.cascade = load_cascade(self.preset, self.device)
+        self._load()

@@ -10,13 +10,10 @@ from typing import TYPE_CHECKING, Any
 from gcnd import _geom
 from gcnd.controls import Controls
 from gcnd.errors import ConfigError, check_count
-from gcnd.runs import Denoised, run_on
+from gcnd.runs import Denoised, Moved, run_on
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-
-    import numpy as np
-    from numpy.typing import NDArray
 
     from gcnd.mesh_io import MeshArrays
     from gcnd.stages import Progress, Stages
@@ -135,7 +132,7 @@ class Filter:
     def run(self, mesh: Any, *, progress: Progress | None = None) -> Denoised:
         """Filters one mesh and returns all that is known of the result."""
 
-        def move(mesh: MeshArrays, stages: Stages) -> tuple[NDArray[np.float64], None]:
+        def move(mesh: MeshArrays, stages: Stages) -> Moved:
             # Work around the origin: far away from it, single positions keep fewer digits than noise has.
             origin = mesh.vertices.mean(axis=0)
             topology = _geom.Topology(mesh.faces, len(mesh.vertices))
@@ -144,7 +141,7 @@ class Filter:
                 stages(iteration / total, self.method)
 
             moved = _find(self.method)(topology, mesh.vertices - origin, progress=report, **self.parameters)
-            return moved + origin, None
+            return Moved(moved + origin)
 
         parameters = {**_defaults(_find(self.method)), **self.parameters}
         return run_on(mesh, move, self.controls, {"filter": self.method, "parameters": parameters}, progress)

@@ -34,6 +34,7 @@ class Outcome:
         output: The file that was written or was there, or None.
         denoised: What was found; None where it was written to a file, so that meshes do not pile up in memory.
         report: What ran and what it changed, where asked for.
+        preset: Whose weights ran; None for a filter.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Outcome:
     output: Path | None = None
     denoised: Denoised | None = None
     report: dict[str, Any] | None = None
+    preset: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +75,7 @@ def denoise_many(
             takes them.
         output: Folder for the results, under the names of the inputs; made where missing. Needed for a folder; only for
             paths.
-        denoiser: What runs: a ``Denoiser``, by default with the default weights, or a ``gcnd.filters.Filter``.
+        denoiser: What runs: a ``Denoiser``, by default with preset "auto", or a ``gcnd.filters.Filter``.
         overwrite: Whether to work again on what is done.
         confidence: Whether files get the confidence by face as an attribute; only PLY can hold it.
         reports: Whether outcomes have a report.
@@ -213,8 +215,7 @@ def _run(job: _Job, denoiser: Method, confidence: bool, reports: bool, progress:
     try:
         if job.output is None:
             done = denoiser.run(job.mesh, progress=progress)
-            report = done.report() if reports else None
-            return Outcome(job.name, "done", time.perf_counter() - started, denoised=done, report=report)
+            return _done(job, started, done, reports, denoised=done)
         if confidence:
             check_confidence_path(job.output)
         job.output.parent.mkdir(parents=True, exist_ok=True)
@@ -222,11 +223,21 @@ def _run(job: _Job, denoiser: Method, confidence: bool, reports: bool, progress:
         mesh = load(job.mesh, shape_only=job.output.suffix.lower() == job.mesh.suffix.lower())
         done = denoiser.run(mesh, progress=progress)
         write_denoised(done, job.output, source=job.mesh, confidence=confidence)
-        report = done.report() if reports else None
-        return Outcome(job.name, "done", time.perf_counter() - started, output=job.output, report=report)
+        return _done(job, started, done, reports, output=job.output)
     except Cancelled:
         raise
     except (
         Exception
     ) as error:  # whatever is wrong with one mesh is told in its outcome and must not stop the rest
         return Outcome(job.name, "failed", time.perf_counter() - started, error=error)
+
+
+def _done(job: _Job, started: float, done: Denoised, reports: bool, **result: Any) -> Outcome:
+    return Outcome(
+        job.name,
+        "done",
+        time.perf_counter() - started,
+        report=done.report() if reports else None,
+        preset=done.method.get("preset"),
+        **result,
+    )

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import trimesh  # noqa: F401  what reads meshes takes a second to import: before a run, which must stop sooner than that
@@ -18,10 +19,25 @@ from gcnd.mesh_io import MeshArrays, load, to_arrays
 from gcnd.report import make_report
 from gcnd.stages import Progress, Stages
 
-__all__ = ["Denoised", "Method", "run_on"]
+__all__ = ["Denoised", "Method", "Moved", "run_on"]
 
-Move = Callable[[MeshArrays, Stages], tuple[NDArray[np.float64], NDArray[np.float64] | None]]
-"""Takes a mesh with each position once, (V', 3), and returns where its vertices go, and confidences or None."""
+
+class Moved(NamedTuple):
+    """What a method's own work gives.
+
+    Attributes:
+        vertices: Positions (V', 3), mesh units.
+        confidence: By face (F,), 0 to 1, or None.
+        described: What there is to say of the method once it has seen the mesh, as JSON-ready values.
+    """
+
+    vertices: NDArray[np.float64]
+    confidence: NDArray[np.float64] | None = None
+    described: Mapping[str, Any] = MappingProxyType({})
+
+
+Move = Callable[[MeshArrays, Stages], Moved]
+"""Takes a mesh with each position once, (V', 3), and says where its vertices go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +98,10 @@ def run_on(
     _geom.validate(arrays.vertices, arrays.faces)
     check_memory(len(arrays.vertices), len(arrays.faces))
     mesh_once, finish = controls.bind(mesh, arrays)
-    moved, confidence = move(mesh_once, stages)
+    moved = move(mesh_once, stages)
     stages(1.0, "finishing")
-    after = finish(moved)
+    after = finish(moved.vertices)
     result = rebuild(after)
     stages(1.0, "done")
-    described = {**method, "controls": controls.described()}
-    return Denoised(result, confidence, arrays, after, stages.seconds, described)
+    described = {**method, **moved.described, "controls": controls.described()}
+    return Denoised(result, moved.confidence, arrays, after, stages.seconds, described)

@@ -143,6 +143,9 @@ def test_a_run_on_scans_learns_from_scans_of_the_shapes(
 
 def test_the_scan_recipe_is_the_defaults_networks_on_scans() -> None:
     scan, default = get_recipe("scan"), get_recipe("default")
-    assert [s.stage for s in scan.stages] == [s.stage for s in default.stages]
+    for ours, other in zip(scan.stages, default.stages, strict=True):
+        assert replace(ours.stage, patch=other.stage.patch) == other.stage
+        assert ours.stage.patch.n_nodes * ours.batch == other.stage.patch.n_nodes * other.batch
+        assert ours.stage.patch.n_channels == other.stage.patch.n_channels
     assert (scan.data, default.data) == ("scans", "noise")
     assert scan.n_scans > 100

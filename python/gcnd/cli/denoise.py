@@ -75,7 +75,9 @@ def run(
             metavar="OUT", help="File to write, its extension gives the format; for a folder, a folder."
         ),
     ],
-    preset: Annotated[str, typer.Option(help="Weights and settings; see `gcnd models`.")] = "default",
+    preset: Annotated[
+        str, typer.Option(help="Weights and settings, see `gcnd models`; auto chooses by the mesh.")
+    ] = "auto",
     device: Annotated[Device, typer.Option(help="Where the network runs.")] = Device.CPU,
     seed: Seed = 0,
     normal_iterations: Annotated[
@@ -142,7 +144,7 @@ def run(
             raise ConfigError("--param is for filters", hint="name a filter with --method")
         settings, options = {"preset": preset, "device": device.value, "seed": seed}, dict(iterations)
     else:
-        if preset != "default":
+        if preset != "auto":
             raise ConfigError("--preset and --method exclude each other", hint="give one of the two")
         if confidence:
             raise ConfigError("--confidence is for presets: filters predict nothing")
@@ -196,10 +198,13 @@ def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: b
                 "vertices": len(mesh.vertices),
                 "faces": len(mesh.faces),
                 **request.settings,
+                **{name: done.method[name] for name in ("preset", "why") if name in done.method},
                 "seconds": round(seconds, 3),
             }
         )
     elif not quiet:
+        if "why" in done.method:
+            print(f"preset {done.method['preset']}: {done.method['why']}", file=sys.stderr)
         print(f"wrote {output_mesh}: {len(mesh.faces):,} faces in {seconds:.1f} s", file=sys.stderr)
 
 

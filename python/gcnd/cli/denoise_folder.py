@@ -76,6 +76,7 @@ def _row(outcome: Outcome) -> dict[str, object]:
         "name": outcome.name,
         "status": outcome.status,
         "seconds": round(outcome.seconds, 3),
+        "preset": outcome.preset,
         "output": None if outcome.output is None else str(outcome.output),
         "error": None if outcome.error is None else _told(outcome.error),
     }
@@ -87,8 +88,9 @@ def _told(error: Exception) -> str:
 
 
 def _print_table(outcomes: Sequence[Outcome]) -> None:
-    """Prints a line a file on stderr: status, seconds, name, and why it failed."""
+    """Prints a line a file on stderr: status, seconds, name, and the preset or why it failed."""
     for outcome in outcomes:
         seconds = "" if outcome.status == "skipped" else f"{outcome.seconds:.1f} s"
-        why = "" if outcome.error is None else f": {_told(outcome.error)}"
+        why = f"  {outcome.preset}" if outcome.preset else ""
+        why = why if outcome.error is None else f": {_told(outcome.error)}"
         print(f"{outcome.status:<8}{seconds:>9}  {outcome.name}{why}", file=sys.stderr)

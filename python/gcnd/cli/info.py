@@ -8,12 +8,18 @@ __all__ = ["run"]
 
 
 def run(input_mesh: InputMesh, as_json: JsonFlag = False) -> None:
-    """Count the vertices, faces and defects of IN."""
+    """Count the vertices, faces and defects of IN, estimate its noise, and say which preset suits it."""
+    from gcnd import _geom
+    from gcnd.auto import choose_preset, read_signs
     from gcnd.mesh_info import mesh_info
     from gcnd.mesh_io import to_arrays
 
     arrays, _ = to_arrays(input_mesh)
-    info = mesh_info(arrays.vertices, arrays.faces)
+    welded, _ = arrays.welded()
+    signs = read_signs(_geom.Topology(welded.faces, len(welded.vertices)), welded.vertices, welded.faces)
+    choice = choose_preset(signs)
+    info: dict[str, object] = {**mesh_info(arrays.vertices, arrays.faces), **signs.described()}
+    info |= {"preset": choice.preset, "why": choice.why}
     if as_json:
         print_json(info)
     else:

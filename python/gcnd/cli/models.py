@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 __all__ = ["run"]
 
-_FIELDS = ("name", "description", "n_parameters", "file_bytes", "licence", "sha256", "default")
+_FIELDS = ("name", "description", "n_parameters", "file_bytes", "licence", "sha256", "auto")
 
 
 def run(as_json: JsonFlag = False) -> None:
@@ -33,7 +33,7 @@ def run(as_json: JsonFlag = False) -> None:
 
 def _entry(model: ModelInfo) -> str:
     size = f"{model.n_parameters:,} weights, {model.file_bytes / 1e6:.1f} MB, {model.licence}"
-    lines = [f"{model.name}{' (default)' if model.default else ''}: {size}", f"    {model.description}"]
+    lines = [f"{model.name}{' (auto)' if model.auto else ''}: {size}", f"    {model.description}"]
     measured = model.card.get("measured", {})
     if "speed" in measured:
         speed = measured["speed"]

@@ -98,12 +98,31 @@ def _fast(*steps: int) -> Recipe:
     )
 
 
+SCAN_PATCH = PatchConfig(patch_scale=8.0, n_nodes=256, scale_space=True, roughness=True)
+"""As wide as the paper's for scans, since a scanner's noise is as wide as several faces.
+
+Choice: docs/choices.md#scan-patches."""
+
+
 def _scan(*steps: int) -> Recipe:
     """The default's networks on simulated scans; every draw of patches is from one of a fixed number of pairs."""
+    recipe = _default(*steps)
+    stages = tuple(
+        replace(
+            stage,
+            stage=replace(stage.stage, patch=SCAN_PATCH),
+            batch=64,
+            lr=1e-3,
+            chunk=ChunkConfig(n_meshes=8, n_patches=1024),
+        )
+        for stage in recipe.stages
+    )
     return replace(
-        _default(*steps),
+        recipe,
         name="scan",
-        description="the default's networks, trained on simulated depth-camera frames, fused frames and scanned prints",
+        description="wide patches, trained on simulated depth-camera frames, fused frames and scanned prints",
+        stages=stages,
+        pool_size=160,
         data="scans",
         n_scans=480,
     )

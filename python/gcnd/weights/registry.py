@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gcnd.auto import CANDIDATES
 from gcnd.errors import ConfigError, WeightsError
 from gcnd.nn.cascade import Cascade, CascadeConfig
 from gcnd.weights.files import load_header, load_tensors, save_tensors
@@ -23,7 +24,7 @@ _FOLDER = Path(__file__).parent
 _CARD = {"description": str, "n_parameters": int, "licence": str, "sha256": str}
 """What every card must say."""
 
-_SHIPPED = ("default", "fast", "paper")
+_SHIPPED = ("default", "fast", "paper", "scan")
 """Presets with weights in the package: ``<name>.safetensors`` with its card ``<name>.json``."""
 
 
@@ -38,7 +39,7 @@ class ModelInfo:
         file_bytes: Size of the weights file.
         licence: Of the weights.
         sha256: Of the weights file, as the card states it.
-        default: Whether ``denoise`` takes it when no preset is named.
+        auto: Whether preset "auto", which is taken when none is named, may choose it.
         card: The whole model card: data, noise, steps, time, measured E_a.
     """
 
@@ -48,7 +49,7 @@ class ModelInfo:
     file_bytes: int
     licence: str
     sha256: str
-    default: bool
+    auto: bool
     card: dict[str, Any]
 
 
@@ -65,7 +66,7 @@ def list_models() -> list[ModelInfo]:
                 file_bytes=(_FOLDER / f"{name}.safetensors").stat().st_size,
                 licence=card["licence"],
                 sha256=card["sha256"],
-                default=name == _SHIPPED[0],
+                auto=name in CANDIDATES,
                 card=card,
             )
         )

@@ -1,0 +1,212 @@
+"""Which weights suit a mesh: signs of its scanner, read from the mesh itself."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gcnd import _geom
+
+__all__ = ["AUTO", "CANDIDATES", "Choice", "Signs", "choose_preset", "read_signs"]
+
+Points = NDArray[np.float64]
+Faces = NDArray[np.uint32]
+
+AUTO = "auto"
+"""The preset that stands for one of `CANDIDATES`, chosen for each mesh."""
+
+CANDIDATES = ("default", "scan")
+
+CLEAN = 0.01
+"""Noise in mean edge lengths under which a mesh counts as clean, and no scan."""
+
+PIXEL_SHARE = 0.4
+"""From here on a mesh counts as one frame of a camera: frames have 0.52 and more, other meshes up to 0.22."""
+
+VOXEL_SHARE = 0.5
+"""From here on a mesh counts as extracted from voxels: those have 0.78 and more, other meshes up to 0.08.
+
+Grids of quads along the axes have as much, but even triangles."""
+
+AREA_RATIO = 3.0
+"""Surfaces cut voxels into large and small faces: 3.8 and more."""
+
+_AREA_TOLERANCE = 0.25
+_ANGLE_TOLERANCE = 0.25
+_FITS = 6
+_LATTICE_STEP = 1e-3
+_FEWEST_ON_PLANE = 20
+_MOST_SAMPLED = 400_000
+
+
+@dataclass(frozen=True)
+class Signs:
+    """What a mesh tells of how it was made.
+
+    Attributes:
+        level: Noise along the normals in mean edge lengths, see `gcnd.report.noise_level`.
+        correlation: Of neighbouring vertices' offsets from their surroundings: about −0.2 for noise that every vertex
+            has of its own, up to 1 for what is smooth at the size of an edge.
+        pixel_share: Share of faces whose area, seen from one direction, is the same within a quarter: halves of a
+            camera's pixels.
+        voxel_share: Share of vertices with just two coordinates that many others have too, as where a surface crosses
+            the edges of voxels.
+        area_ratio: The 90th percentile of the areas of faces over the 10th.
+    """
+
+    level: float
+    correlation: float
+    pixel_share: float
+    voxel_share: float
+    area_ratio: float
+
+    def described(self) -> dict[str, float]:
+        """Returns the signs as JSON-ready values."""
+        return {name: round(float(value), 4) for name, value in asdict(self).items()}
+
+
+class Choice(NamedTuple):
+    """A preset, and why it was chosen, in a sentence without a full stop."""
+
+    preset: str
+    why: str
+
+    def described(self, signs: Signs) -> dict[str, Any]:
+        """Returns the choice as JSON-ready values."""
+        return {"preset": self.preset, "why": self.why, "signs": signs.described()}
+
+
+def choose_preset(signs: Signs) -> Choice:
+    """Chooses between the weights for noise of each vertex's own and those for scanners.
+
+    Args:
+        signs: Of the mesh.
+
+    Returns:
+        The preset and the reason.
+
+    Choice: docs/choices.md#auto.
+
+    Example:
+        >>> choose_preset(Signs(level=0.2, correlation=-0.2, pixel_share=0.01, voxel_share=0.0, area_ratio=2)).preset
+        'default'
+        >>> choose_preset(Signs(level=0.2, correlation=0.1, pixel_share=0.9, voxel_share=0.0, area_ratio=2))
+        Choice(preset='scan', why="90 % of the faces are halves of a camera's pixels; noise 0.20 mean edges")
+    """
+    noise = f"noise {signs.level:.2f} mean edges"
+    if signs.level < CLEAN:
+        return Choice("default", f"it is nearly clean; {noise}")
+    if signs.pixel_share >= PIXEL_SHARE:
+        faces = f"{100 * signs.pixel_share:.0f} % of the faces"
+        return Choice("scan", f"{faces} are halves of a camera's pixels; {noise}")
+    if signs.voxel_share >= VOXEL_SHARE and signs.area_ratio >= AREA_RATIO:
+        vertices = f"{100 * signs.voxel_share:.0f} % of the vertices"
+        return Choice("scan", f"{vertices} lie on the edges of voxels; {noise}")
+    return Choice("default", f"neither a camera's pixels nor voxels are seen in it; {noise}")
+
+
+def read_signs(topology: _geom.Topology, vertices: Points, faces: Faces) -> Signs:
+    """Reads the signs of a mesh.
+
+    Args:
+        topology: Adjacency of the mesh.
+        vertices: Positions (V, 3), mesh units, each position once.
+        faces: Vertex ids (F, 3).
+
+    Returns:
+        The signs; of large meshes the last two are those of an even sample.
+
+    Choice: docs/choices.md#auto.
+    """
+    from gcnd.report import noise_level
+
+    # Squares of lengths must be numbers, whatever the unit.
+    size = float(np.abs(vertices - vertices[0]).max())
+    vertices = (vertices - vertices[0]) / size if size > 0 else vertices
+    edge = _geom.mean_edge_length(vertices, faces)
+    return Signs(
+        level=noise_level(topology, vertices, faces),
+        correlation=_correlation(vertices, faces),
+        pixel_share=_pixel_share(vertices, faces[:: 1 + len(faces) // _MOST_SAMPLED]),
+        voxel_share=_voxel_share(vertices[:: 1 + len(vertices) // _MOST_SAMPLED], edge),
+        area_ratio=_area_ratio(vertices, faces),
+    )
+
+
+def _pixel_share(vertices: Points, faces: Faces) -> float:
+    """Fits the direction d from which faces look equally large, N_f · d ≈ 1, N_f = area · normal, robustly.
+
+    Faces of a frame are halves of pixels. Pixels further away are larger, so that areas are compared with the median.
+    """
+    corners = vertices[faces]
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.sqrt(np.square(areas).sum(axis=1).mean())
+    if not size > 0:
+        return 0.0
+    areas /= size
+    weights, direction = np.ones(len(areas)), np.zeros(3)
+    for _ in range(_FITS):
+        weighted = areas * weights[:, None]
+        direction = np.linalg.lstsq(weighted.T @ areas, weighted.sum(axis=0), rcond=1e-12)[0]
+        seen = areas @ direction
+        middle = float(np.median(seen))
+        if not middle > 0:
+            return 0.0
+        # Cauchy's weights: flying triangles and those turned away count little.
+        weights = 1 / (1 + np.square((seen / middle - 1) / _AREA_TOLERANCE))
+    is_even = np.abs(seen / middle - 1) < _AREA_TOLERANCE
+    return float(np.mean(is_even & _are_half_squares(corners, direction)))
+
+
+def _are_half_squares(corners: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tells which faces (F, 3, 3), seen along a direction, have a right angle between two sides of about one length."""
+    towards = direction / np.linalg.norm(direction)
+    flat = corners - (corners @ towards)[:, :, None] * towards
+    squares = np.sort(np.square(flat - np.roll(flat, -1, axis=1)).sum(axis=2), axis=1)
+    short, middle, long = squares.T
+    # Pythagoras: c² = a² + b²; and b < 1.5 a.
+    is_right: NDArray[np.bool_] = np.abs(long - short - middle) < _ANGLE_TOLERANCE * long
+    return is_right & (middle < 1.5**2 * short)
+
+
+def _voxel_share(vertices: Points, edge: float) -> float:
+    """Counts coordinates that a plane full of vertices shares; where surfaces cross voxels' edges two of three do."""
+    if not edge > 0 or len(vertices) == 0:
+        return 0.0
+    fewest = max(_FEWEST_ON_PLANE, np.sqrt(len(vertices)) / 2)
+    steps = np.round((vertices - vertices.min(axis=0)) / (_LATTICE_STEP * edge))
+    shared = np.zeros(len(vertices), dtype=np.int64)
+    for axis in range(3):
+        _, place, counts = np.unique(steps[:, axis], return_inverse=True, return_counts=True)
+        shared += counts[place] >= fewest
+    return float(np.mean(shared == 2))
+
+
+def _area_ratio(vertices: Points, faces: Faces) -> float:
+    small, large = np.quantile(_geom.face_geometry(vertices, faces)[2], (0.1, 0.9))
+    return float(large / small) if small > 0 else 1.0
+
+
+def _correlation(vertices: Points, faces: Faces) -> float:
+    """Correlation along edges of n_i · (v_i − mean of neighbours), cut off at three times its median."""
+    n_vertices = len(vertices)
+    ids = faces.astype(np.int64)
+    begin, end = ids.ravel(), np.roll(ids, -1, axis=1).ravel()
+    counts = np.bincount(begin, minlength=n_vertices) + np.bincount(end, minlength=n_vertices)
+    corners = vertices[ids]
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    offsets, lengths = np.zeros(n_vertices), np.zeros(n_vertices)
+    for axis in range(3):
+        ends = np.bincount(begin, vertices[end, axis], n_vertices)
+        begins = np.bincount(end, vertices[begin, axis], n_vertices)
+        normal = np.bincount(begin, np.repeat(face_normals[:, axis], 3), n_vertices)
+        offsets += normal * (vertices[:, axis] - (ends + begins) / np.maximum(counts, 1))
+        lengths += np.square(normal)
+    offsets = np.divide(offsets, np.sqrt(lengths), out=np.zeros(n_vertices), where=lengths > 0)
+    limit = 3 * float(np.median(np.abs(offsets[counts > 0])))
+    offsets = np.clip(offsets, -limit, limit)
+    size = float(np.square(offsets[begin]).mean())
+    return float((offsets[begin] * offsets[end]).mean()) / size if size > 0 else 0.0
