@@ -168,8 +168,8 @@ def _are_half_squares(corners: NDArray[np.float64], direction: NDArray[np.float6
     squares = np.sort(np.square(flat - np.roll(flat, -1, axis=1)).sum(axis=2), axis=1)
     short, middle, long = squares.T
     # Pythagoras: c² = a² + b²; and b < 1.5 a.
-    is_right: NDArray[np.bool_] = np.abs(long - short - middle) < _ANGLE_TOLERANCE * long
-    return is_right & (middle < 1.5**2 * short)
+    is_right = np.abs(long - short - middle) < _ANGLE_TOLERANCE * long
+    return np.logical_and(is_right, middle < 1.5**2 * short)
 
 
 def _voxel_share(vertices: Points, edge: float) -> float:

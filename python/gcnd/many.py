@@ -17,7 +17,15 @@ from gcnd.mesh_io import SUPPORTED, check_output_path, load, save
 from gcnd.runs import Denoised, Method
 from gcnd.stages import Progress
 
-__all__ = ["Outcome", "check_confidence_path", "denoise_many", "mesh_files", "write_denoised"]
+__all__ = [
+    "Job",
+    "Outcome",
+    "check_confidence_path",
+    "denoise_many",
+    "mesh_files",
+    "run_job",
+    "write_denoised",
+]
 
 Folder: TypeAlias = "str | os.PathLike[str]"
 
@@ -48,7 +56,9 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class Job:
+    """One mesh to work on, where its result goes, and its share of the whole."""
+
     name: str
     mesh: Any
     output: Path | None
@@ -63,9 +73,10 @@ def denoise_many(
     overwrite: bool = False,
     confidence: bool = False,
     reports: bool = False,
+    ray: bool = False,
     progress: Progress | None = None,
 ) -> list[Outcome]:
-    """Denoises many meshes, one after the other, and says of each what became of it.
+    """Denoises many meshes, one after the other or on a Ray cluster, and says of each what became of it.
 
     A mesh that fails does not stop the others. With an output folder, a result that is there and not older than its
     input is skipped, so that a stopped run goes on where it was; results are written whole or not at all.
@@ -79,6 +90,7 @@ def denoise_many(
         overwrite: Whether to work again on what is done.
         confidence: Whether files get the confidence by face as an attribute; only PLY can hold it.
         reports: Whether outcomes have a report.
+        ray: Whether to work on a Ray cluster, several at a time; see ``gcnd.cluster``; progress is by whole meshes.
         progress: Called with (fraction of all, the name at work and its number); returning False cancels all.
 
     Returns:
@@ -100,12 +112,22 @@ def denoise_many(
         from gcnd.denoiser import Denoiser
 
         denoiser = Denoiser()
+    if ray:
+        from gcnd.cluster import run_on_ray
+
+        left = [job for job in jobs if overwrite or not _is_done(job)]
+        done = iter(run_on_ray(left, denoiser, confidence=confidence, reports=reports, progress=progress))
+        at_work = {job.name for job in left}
+        return [
+            next(done) if job.name in at_work else Outcome(job.name, "skipped", output=job.output)
+            for job in jobs
+        ]
     whole, past = sum(job.weight for job in jobs), 0.0
     outcomes: list[Outcome] = []
     for number, job in enumerate(jobs):
         label = f"{job.name} ({number + 1} of {len(jobs)})"
 
-        def told(fraction: float, _: str, past: float = past, job: _Job = job, label: str = label) -> object:
+        def told(fraction: float, _: str, past: float = past, job: Job = job, label: str = label) -> object:
             if progress is None:
                 return None
             return progress((past + fraction * job.weight) / whole, label)
@@ -113,7 +135,7 @@ def denoise_many(
         if not overwrite and _is_done(job):
             outcomes.append(Outcome(job.name, "skipped", output=job.output))
         else:
-            outcomes.append(_run(job, denoiser, confidence, reports, told))
+            outcomes.append(run_job(job, denoiser, confidence, reports, told))
         past += job.weight
     if progress is not None:
         progress(1.0, "done")
@@ -163,7 +185,7 @@ def check_confidence_path(path: Path) -> None:
         raise ConfigError(f"{path}: only .ply holds a confidence by face", "name an output that ends in .ply")
 
 
-def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[_Job]:
+def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[Job]:
     if isinstance(meshes, str | os.PathLike):
         folder = Path(meshes)
         if output is None:
@@ -183,7 +205,7 @@ def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[_Job]:
             if isinstance(mesh, str | os.PathLike):
                 jobs.append(_file_job(Path(mesh).name if output else str(mesh), Path(mesh), output))
             elif output is None:
-                jobs.append(_Job(f"mesh {index}", mesh, None, 1.0))
+                jobs.append(Job(f"mesh {index}", mesh, None, 1.0))
             else:
                 raise ConfigError(f"mesh {index} is no file: its result has no name", "leave output out")
         hint = None
@@ -198,19 +220,20 @@ def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[_Job]:
     return jobs
 
 
-def _file_job(name: str, path: Path, output: Path | None) -> _Job:
+def _file_job(name: str, path: Path, output: Path | None) -> Job:
     # The bar goes by size: what a folder holds differs by orders of magnitude.
     size = path.stat().st_size if path.is_file() else 0
-    return _Job(name, path, None if output is None else output / name, float(max(size, 1)))
+    return Job(name, path, None if output is None else output / name, float(max(size, 1)))
 
 
-def _is_done(job: _Job) -> bool:
+def _is_done(job: Job) -> bool:
     if job.output is None or not job.output.is_file() or not os.path.isfile(job.mesh):
         return False
     return job.output.stat().st_mtime_ns >= os.stat(job.mesh).st_mtime_ns
 
 
-def _run(job: _Job, denoiser: Method, confidence: bool, reports: bool, progress: Progress) -> Outcome:
+def run_job(job: Job, denoiser: Method, confidence: bool, reports: bool, progress: Progress) -> Outcome:
+    """Works on one mesh, as ``denoise_many`` says; what is wrong with it is told in the outcome."""
     started = time.perf_counter()
     try:
         if job.output is None:
@@ -232,7 +255,7 @@ def _run(job: _Job, denoiser: Method, confidence: bool, reports: bool, progress:
         return Outcome(job.name, "failed", time.perf_counter() - started, error=error)
 
 
-def _done(job: _Job, started: float, done: Denoised, reports: bool, **result: Any) -> Outcome:
+def _done(job: Job, started: float, done: Denoised, reports: bool, **result: Any) -> Outcome:
     return Outcome(
         job.name,
         "done",

@@ -133,6 +133,9 @@ def run(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="For a folder: work again on what is done.")
     ] = False,
+    ray: Annotated[
+        bool, typer.Option("--ray", help="For a folder: work on a Ray cluster (gcnd[ray]).")
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
     as_json: JsonFlag = False,
 ) -> None:
@@ -161,8 +164,12 @@ def run(
     if input_path.is_dir():
         from gcnd.cli.denoise_folder import run_folder
 
-        run_folder(input_path, output_path, request, overwrite=overwrite, quiet=quiet, as_json=as_json)
+        run_folder(
+            input_path, output_path, request, overwrite=overwrite, ray=ray, quiet=quiet, as_json=as_json
+        )
     else:
+        if ray:
+            raise ConfigError("--ray is for folders", hint="name a folder of meshes")
         _run_file(input_path, output_path, request, quiet=quiet, as_json=as_json)
 
 

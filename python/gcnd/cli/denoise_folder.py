@@ -23,7 +23,14 @@ __all__ = ["run_folder"]
 
 
 def run_folder(
-    input_folder: Path, output_folder: Path, request: Request, *, overwrite: bool, quiet: bool, as_json: bool
+    input_folder: Path,
+    output_folder: Path,
+    request: Request,
+    *,
+    overwrite: bool,
+    ray: bool,
+    quiet: bool,
+    as_json: bool,
 ) -> None:
     """Denoises a folder, prints a table, and leaves with exit code 1 if a file failed.
 
@@ -32,6 +39,7 @@ def run_folder(
         output_folder: Gets the results under the same names; made where missing.
         request: What the command line asked for.
         overwrite: Whether to work again on what is done.
+        ray: Whether to work on a Ray cluster.
         quiet: Whether to print nothing but failures.
         as_json: Whether to print the table as JSON on stdout.
     """
@@ -54,6 +62,7 @@ def run_folder(
             overwrite=overwrite,
             confidence=request.confidence,
             reports=request.report is not None,
+            ray=ray,
             progress=progress,
         )
     if request.report is not None:
