@@ -169,7 +169,8 @@ def _are_half_squares(corners: NDArray[np.float64], direction: NDArray[np.float6
     short, middle, long = squares.T
     # Pythagoras: c² = a² + b²; and b < 1.5 a.
     is_right = np.abs(long - short - middle) < _ANGLE_TOLERANCE * long
-    return np.logical_and(is_right, middle < 1.5**2 * short)
+    halves: NDArray[np.bool_] = np.logical_and(is_right, middle < 1.5**2 * short)
+    return halves
 
 
 def _voxel_share(vertices: Points, edge: float) -> float:
