@@ -1,4 +1,4 @@
-"""A table in Markdown of what `gcnd compare` wrote: mean E_a by kind of mesh, or of scan, for each dataset, E_v, and time.
+"""A table in Markdown of what `gcnd compare` wrote: mean E_a by kind of mesh or of scan, E_v, and time.
 
     gcnd compare builtin --methods all --levels 0.2 --pictures none --out runs/builtin
     gcnd compare DIR --methods all --levels 0.2 --pictures none --out runs/real
@@ -7,9 +7,9 @@
     gcnd compare builtin --noise kinect1,kinect2,fusion,print --methods presets,classical --out runs/scans
     python benches/compare_table.py scans=runs/scans
 
-A dataset with one noise has a column for each kind of mesh, one with several a column for each noise. Times are those of
-another report, made on an idle machine, where one is given. Methods stand in the order of their mean E_a on the last
-dataset.
+A dataset with one noise has a column for each kind of mesh, one with several a column for each noise. Times are those
+of another report, made on an idle machine, where one is given. Methods stand in the order of their mean E_a on the
+last dataset.
 """
 
 from __future__ import annotations
