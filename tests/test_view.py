@@ -101,6 +101,43 @@ def test_figures_by_hand(out: Path) -> None:
     assert (figures.flipped_before, figures.flipped_after) == (None, None)
 
 
+def test_the_confidence_is_a_layer_of_doubt(out: Path, tmp_path: Path) -> None:
+    def doubts() -> list[float] | None:
+        page = page_of(out)
+        layers = {layer["name"]: layer for layer in json.loads(page.texts["manifest"])["layers"]}
+        if "doubt" not in layers:
+            return None
+        layer = layers["doubt"]
+        assert (layer["per"], layer["unit"]) == ("face", " %")
+        return [float(value) / 65534 * layer["top"] for value in page.array("doubt-before", "<u2")]
+
+    gcnd.view((LIFTED, FACES), against=(SQUARE, FACES), confidence=[0.75, 1.0], out=out)
+    assert doubts() == pytest.approx([25.0, 0.0], abs=0.01)
+    mesh = trimesh.Trimesh(LIFTED, FACES, process=False)
+    save(mesh, tmp_path / "plain.ply")
+    mesh.face_attributes["confidence"] = np.array([0.5, 0.9], np.float32)
+    save(mesh, tmp_path / "sure.ply")
+    for after in (mesh, tmp_path / "sure.ply"):
+        gcnd.view(after, against=(SQUARE, FACES), out=out)
+        assert doubts() == pytest.approx([50.0, 10.0], abs=0.01)
+    gcnd.view(tmp_path / "plain.ply", against=(SQUARE, FACES), out=out)
+    assert doubts() is None
+
+
+@pytest.mark.parametrize(
+    ("confidence", "message"),
+    [
+        ([0.5], "confidence has 1 values, and the mesh 2 faces"),
+        ([0.5, 1.5], "values outside 0 to 1"),
+        ([0.5, float("nan")], "values outside 0 to 1"),
+    ],
+)
+def test_a_confidence_that_is_none_is_refused(out: Path, confidence: list[float], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        gcnd.view((LIFTED, FACES), against=(SQUARE, FACES), confidence=confidence, out=out)
+    assert not out.exists()
+
+
 def test_figures_against_the_truth(out: Path) -> None:
     # The corner 1 on the other side of the long edge turns face 0 over.
     flipped = np.array([[0.0, 0, 0], [0, 0.5, 0], [1, 1, 0], [0, 1, 0]])

@@ -88,7 +88,10 @@ class Figures:
 
 
 def compare_meshes(
-    before: MeshArrays, after: MeshArrays, truth: MeshArrays | None = None
+    before: MeshArrays,
+    after: MeshArrays,
+    truth: MeshArrays | None = None,
+    confidence: NDArray[np.float64] | None = None,
 ) -> tuple[list[Layer], Figures]:
     """Computes what the page colours by and its figures.
 
@@ -96,10 +99,11 @@ def compare_meshes(
         before: The mesh before.
         after: The same faces, moved.
         truth: The same faces where they should be, or None.
+        confidence: Of the denoising (F,), 0 to 1, or None.
 
     Returns:
-        The layers angle (degrees, by face), with a truth error (degrees, by face), and displacement (mean edge
-        lengths, by vertex); and the figures.
+        The layers angle (degrees, by face), with a truth error (degrees, by face), displacement (mean edge lengths, by
+        vertex), and with a confidence doubt (1 − confidence in percent, by face); and the figures.
 
     Example:
         >>> from gcnd.mesh_io import to_arrays
@@ -123,6 +127,9 @@ def compare_meshes(
             against_truth[f"e_a_{when}"] = _mean(values)
             against_truth[f"flipped_{when}"] = int(np.count_nonzero(values > _FLIPPED))
     layers.append(_layer("displacement", "displacement", " edges", "vertex", displacement, displacement))
+    if confidence is not None:
+        doubt = 100 * (1 - confidence)
+        layers.append(_layer("doubt", "doubt (1 − confidence)", " %", "face", doubt, doubt))
     figures = Figures(
         faces=len(before.faces),
         vertices=len(counted),

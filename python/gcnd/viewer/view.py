@@ -6,14 +6,18 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from gcnd.errors import ConfigError, MeshError
 from gcnd.formats.atomic import write_atomic
-from gcnd.mesh_io import to_arrays
+from gcnd.mesh_io import load, to_arrays
 from gcnd.same_faces import check_same_faces
 from gcnd.viewer.changes import Figures, compare_meshes
 from gcnd.viewer.page import Names, view_page
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
     from gcnd.mesh_io import MeshArrays, MeshPath
 
 __all__ = ["MAX_FACES", "view"]
@@ -24,17 +28,26 @@ MAX_FACES = 2_000_000
 _HINT = "give meshes that differ only in their positions, in formats with vertex order, such as PLY"
 
 
-def view(after: Any, *, against: Any, truth: Any = None, out: MeshPath = "view.html") -> Figures:
+def view(
+    after: Any,
+    *,
+    against: Any,
+    truth: Any = None,
+    confidence: ArrayLike | None = None,
+    out: MeshPath = "view.html",
+) -> Figures:
     """Writes one self-contained HTML page that shows a mesh before and after.
 
     The page opens in any browser with WebGL 2 and fetches nothing. It shows both meshes from one camera, side by side,
     with a wipe between them, or blended, plain or coloured by angular change (degrees a face), by error against the
-    truth (degrees a face) or by displacement (mean edge lengths a vertex).
+    truth (degrees a face), by displacement (mean edge lengths a vertex) or by doubt (1 − confidence, percent a face).
 
     Args:
         after: The denoised mesh: whatever `gcnd.mesh_io.to_arrays` takes: a path, a pair of arrays, a mesh object.
         against: The mesh before, with the same faces in the same order.
         truth: The true mesh, with the same faces in the same order, or None.
+        confidence: By face (F,), 0 to 1, as `gcnd.denoise` returns it; by default the face attribute ``confidence`` of
+            `after`, if it has one.
         out: The page to write, .html; an existing one is replaced.
 
     Returns:
@@ -43,7 +56,8 @@ def view(after: Any, *, against: Any, truth: Any = None, out: MeshPath = "view.h
     Raises:
         MeshError: The meshes do not share their faces and their number of vertices, have more than `MAX_FACES` faces,
             or cannot be read; see `gcnd.mesh_io.to_arrays`.
-        ConfigError: `out` is not called .html, or its folder does not exist.
+        ConfigError: `out` is not called .html, or its folder does not exist; or the confidence is not one number from
+            0 to 1 for each face.
         OSError: The page cannot be written. What stood at `out` then still does.
 
     Example:
@@ -57,6 +71,7 @@ def view(after: Any, *, against: Any, truth: Any = None, out: MeshPath = "view.h
         _name(against, "before"), _name(after, "after"), None if truth is None else _name(truth, "truth")
     )
     before_mesh, _ = to_arrays(against)
+    after = load(after) if isinstance(after, str | os.PathLike) else after
     after_mesh, _ = to_arrays(after)
     truth_mesh = None if truth is None else to_arrays(truth)[0]
     _check_pair(after_mesh, before_mesh, (names.after, names.before))
@@ -67,9 +82,21 @@ def view(after: Any, *, against: Any, truth: Any = None, out: MeshPath = "view.h
             f"{names.before} has {len(before_mesh.faces)} faces, and a page takes at most {MAX_FACES}",
             "cut out the part of interest from each mesh, and view that",
         )
-    layers, figures = compare_meshes(before_mesh, after_mesh, truth_mesh)
+    if confidence is None:
+        confidence = getattr(after, "face_attributes", {}).get("confidence")
+    known = None if confidence is None else _checked_confidence(confidence, len(after_mesh.faces))
+    layers, figures = compare_meshes(before_mesh, after_mesh, truth_mesh, known)
     write_atomic(path, view_page(before_mesh, after_mesh, layers, figures, names).encode())
     return figures
+
+
+def _checked_confidence(confidence: ArrayLike, n_faces: int) -> NDArray[np.float64]:
+    values = np.asarray(confidence, dtype=np.float64).reshape(-1)
+    if len(values) != n_faces:
+        raise ConfigError(f"confidence has {len(values)} values, and the mesh {n_faces} faces")
+    if not ((values >= 0) & (values <= 1)).all():
+        raise ConfigError("confidence has values outside 0 to 1")
+    return values
 
 
 def _check_pair(mesh: MeshArrays, before: MeshArrays, names: tuple[str, str]) -> None:
