@@ -251,17 +251,18 @@ def test_adapted_scales_the_steps_and_sets_the_precision(monkeypatch: pytest.Mon
     for fast, precision in ((True, "bfloat16"), (False, "float32")):
         monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda fast=fast: fast)
         assert {s.precision for s in adapted(recipe).stages} == {precision}
-        assert {s.precision for s in adapted(get_recipe("paper")).stages} == {"float32"}
+        for paper in ("paper", "paper-scan"):
+            assert {s.precision for s in adapted(get_recipe(paper)).stages} == {"float32"}
     with pytest.raises(ConfigError, match="precision is 'half'"):
         adapted(recipe, precision="half")
 
 
 def test_recipes() -> None:
     assert {name: recipe.name for name, recipe in RECIPES.items()} == {
-        n: n for n in ("default", "fast", "paper", "scan")
+        n: n for n in ("default", "fast", "paper", "scan", "paper-scan")
     }
     with pytest.raises(
-        ConfigError, match="unknown training preset 'papers', allowed: default, fast, paper, scan"
+        ConfigError, match="unknown training preset 'papers', allowed: default, fast, paper, scan, paper-scan"
     ):
         get_recipe("papers")
     for recipe in RECIPES.values():
@@ -272,3 +273,7 @@ def test_recipes() -> None:
     assert not paper.warm_start
     assert {(s.batch, s.lr, s.loss, s.chunk.balance_ratio) for s in paper.stages} == {(128, 1e-4, "mse", 1.5)}
     assert {s.stage.patch.budget for s in paper.stages} == {"random"}
+    for_scans = get_recipe("paper-scan")
+    assert for_scans.data == "scans"
+    assert [s.stage.network for s in for_scans.stages] == [s.stage.network for s in paper.stages]
+    assert {(s.stage.patch.patch_scale, s.stage.patch.n_nodes) for s in for_scans.stages} == {(8.0, 256)}

@@ -24,7 +24,9 @@ _SECONDS_BETWEEN_LINES = 10.0
 
 
 def run(
-    preset: Annotated[str, typer.Option(help="Recipe: default, fast, paper or scan.")] = "default",
+    preset: Annotated[
+        str, typer.Option(help="Recipe: default, fast, paper, scan or paper-scan.")
+    ] = "default",
     out: Annotated[Path | None, typer.Option(help="Folder of the run; resumed when it exists.")] = None,
     meshes: Annotated[
         Path | None, typer.Option(help="Folder of clean meshes to train on beside the procedural shapes.")

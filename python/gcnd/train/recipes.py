@@ -149,11 +149,33 @@ def _paper(steps: int, later_steps: int) -> Recipe:
     )
 
 
+def _paper_scan(*steps: int) -> Recipe:
+    """The paper's networks as it trains them for scanners: k = 8, 256 nodes (paper Sec. 7.5)."""
+    recipe = _paper(*steps)
+    stages = tuple(
+        replace(
+            stage,
+            stage=replace(stage.stage, patch=replace(stage.stage.patch, patch_scale=8.0, n_nodes=256)),
+            chunk=ChunkConfig(n_meshes=8, n_patches=1024),
+        )
+        for stage in recipe.stages
+    )
+    return replace(
+        recipe,
+        name="paper-scan",
+        description="the paper's two networks with its patches for scanners, on simulated scans",
+        stages=stages,
+        data="scans",
+        n_scans=480,
+    )
+
+
 RECIPES = {
     "default": _default(38_000, 44_500),
     "fast": _fast(13_500, 11_500),
     "paper": _paper(450_000, 300_000),
-    "scan": _scan(20_000, 10_000),
+    "scan": _scan(9_000, 6_000),
+    "paper-scan": _paper_scan(450_000, 300_000),
 }
 """By name. The paper's own numbers of steps are 24 and 16 epochs of 2.4 M patches in batches of 128."""
 

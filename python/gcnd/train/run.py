@@ -266,7 +266,7 @@ def adapted(
     """Returns a recipe with ``scale`` times the steps of every stage and a precision that suits the processor.
 
     ``None`` takes bfloat16 for our recipes where the device multiplies matrices in it, which is 1.8 times as fast on a
-    processor that does (docs/benchmarks.md#networks); the paper's recipe always computes in float32.
+    processor that does (docs/benchmarks.md#networks); the paper's recipes always compute in float32.
 
     Raises:
         ConfigError: ``precision`` is neither "float32" nor "bfloat16".
@@ -276,7 +276,7 @@ def adapted(
     if precision is None:
         on_cuda = torch.device(device).type == "cuda"
         fast = torch.cuda.is_bf16_supported() if on_cuda else fast_precision("cpu") == "bfloat16"
-        precision = "bfloat16" if fast and recipe.name != "paper" else "float32"
+        precision = "bfloat16" if fast and not recipe.name.startswith("paper") else "float32"
     stages = tuple(
         replace(s, steps=max(1, round(s.steps * scale)), precision=precision)  # type: ignore[arg-type]
         for s in recipe.stages
