@@ -121,8 +121,12 @@ def test_a_run_on_scans_learns_from_scans_of_the_shapes(
     use_small_shapes(monkeypatch)
     monkeypatch.setattr(corpus_module, "N_VALIDATION", 4)
     recipe = replace(RECIPE, name="scan", data="scans", n_scans=2, pool_size=1)
-    corpus = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans")
-    again = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans")
+    told: list[str] = []
+    corpus = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans", told.append)
+    assert told[-1] == f"scans: {recipe.n_scans} of {recipe.n_scans} made"
+    told.clear()
+    again = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans", told.append)
+    assert not told, "nothing is made twice"
     assert len(corpus.shapes) == 2
     kinds = [mesh.shape.name.split("-")[1] for mesh in corpus.validation]
     assert kinds == ["kinect1", "kinect2", "fusion", "print"]

@@ -78,7 +78,7 @@ def run(
             return paired_corpus(pairs)
         shape_folder = shapes or folder / "shapes"
         if recipe.data == "scans":
-            return scanned_corpus(recipe, shape_folder, meshes, folder / "scans")
+            return scanned_corpus(recipe, shape_folder, meshes, folder / "scans", _say)
         return generated_corpus(recipe, shape_folder, meshes)
 
     with process_group(checked_device(device.value)) as own_device:
@@ -100,11 +100,15 @@ def _train(
         start_from=start_from,
         device=device,
         on_step=_LineWriter(),
-        on_event=lambda text: print(text, file=sys.stderr, flush=True),
+        on_event=_say,
     )
     weights = training.run()
     if training.is_first:
         print(weights)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 class _LineWriter:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -182,6 +182,7 @@ def load_training_pairs(
     *,
     kinds: Sequence[ScanKind | None] = (None,),
     workers: int = 2,
+    progress: Callable[[int, int], None] | None = None,
 ) -> list[TrainingPair]:
     """Returns the first ``n`` pairs of a list, from disk where they are and made and stored where they are not.
 
@@ -192,6 +193,7 @@ def load_training_pairs(
         folder: Where the ``.npz`` files lie; made if missing.
         kinds: Kind of each pair, in turn; None draws it.
         workers: Processes that make what is missing; 1 works in this process.
+        progress: Called with the pairs made and those to make after each.
 
     Returns:
         The pairs in order.
@@ -207,7 +209,10 @@ def load_training_pairs(
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
     jobs = [_job(meshes, seed, number, kinds[number % len(kinds)]) for number in range(n)]
-    _make_all([job for job in jobs if _read(place, job) is None], place, workers)
+    missing = [job for job in jobs if _read(place, job) is None]
+    for made, _ in enumerate(_make_all(missing, place, workers), start=1):
+        if progress is not None:
+            progress(made, len(missing))
     return [_read(place, job) or _made_and_stored(job, place) for job in jobs]
 
 
@@ -245,15 +250,18 @@ def _make(job: _Job) -> TrainingPair:
     )
 
 
-def _make_all(jobs: Sequence[_Job], folder: Path, workers: int) -> None:
+def _make_all(jobs: Sequence[_Job], folder: Path, workers: int) -> Iterator[None]:
+    """Makes and stores every pair, and yields after each."""
     if workers == 1 or len(jobs) < 2:
         for job in jobs:
-            _made_and_stored(job, folder)
+            _store_only(job, folder)
+            yield
         return
     # A fork would copy locks held by threads of the parent, such as torch's.
     with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=get_context("spawn")) as pool:
         for future in [pool.submit(_store_only, job, folder) for job in jobs]:
             future.result()
+            yield
 
 
 def _store_only(job: _Job, folder: Path) -> None:

@@ -17,6 +17,7 @@ from gcnd.scans.training import TrainingPair, load_training_pairs
 from gcnd.train.samples import CleanShape, FreshNoise, NoiseDraw, NoisyMesh, VertexSource, noisy_vertices
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -42,6 +43,9 @@ BLEND_WIDTHS = (0.5, 0.8, 1.2, 1.8)
 
 FEWEST_FACES = 4000
 """A given mesh is thinned out to no fewer."""
+
+
+SCANS_BETWEEN_LINES = 20
 
 
 @dataclass(frozen=True)
@@ -148,7 +152,13 @@ def given_shapes(path: Path) -> list[CleanShape]:
     return shapes
 
 
-def scanned_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | None, scan_folder: Path) -> Corpus:
+def scanned_corpus(
+    recipe: Recipe,
+    shape_folder: Path,
+    mesh_folder: Path | None,
+    scan_folder: Path,
+    on_event: Callable[[str], None] | None = None,
+) -> Corpus:
     """Scans the clean meshes that `generated_corpus` would add noise to, and validates on scans of held-out shapes.
 
     Args:
@@ -156,6 +166,7 @@ def scanned_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | None,
         shape_folder: Keeps procedural shapes between runs.
         mesh_folder: Clean meshes of the user's, at any depth.
         scan_folder: Keeps the scans between runs.
+        on_event: Called with a line of text now and then while scans are made.
 
     Raises:
         ConfigError: No mesh in ``mesh_folder``, or no scan to make.
@@ -174,7 +185,13 @@ def scanned_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | None,
         raise ConfigError(f"n_scans of recipe {recipe.name} is {recipe.n_scans}, allowed: 1 or more")
     meshes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder) + _shapes_of_folder(mesh_folder)
     held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
-    pairs = [_of_scan(pair) for pair in load_training_pairs(meshes, recipe.n_scans, recipe.seed, scan_folder)]
+
+    def tell(made: int, total: int) -> None:
+        if on_event is not None and (made % SCANS_BETWEEN_LINES == 0 or made == total):
+            on_event(f"scans: {made} of {total} made")
+
+    found = load_training_pairs(meshes, recipe.n_scans, recipe.seed, scan_folder, progress=tell)
+    pairs = [_of_scan(pair) for pair in found]
     unseen = load_training_pairs(held_out, N_VALIDATION, VALIDATION_SEED, scan_folder, kinds=SCAN_KINDS)
     return Corpus([pair.shape for pair in pairs], PairSource(pairs), [_of_scan(pair) for pair in unseen])
 
