@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from fuzz_cases import tiny_cascade, tiny_weights
+from fuzz_surface import tiny_cascade, tiny_weights
 
 from gcnd import memory
 from gcnd.errors import MeshError, WeightsError
