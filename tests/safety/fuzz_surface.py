@@ -23,7 +23,7 @@ from gcnd.mesh_info import mesh_info
 from gcnd.mesh_io import to_arrays
 from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, RefinementConfig, StageConfig
 from gcnd.nn.networks import NetworkConfig
-from gcnd.runs import run_on
+from gcnd.runs import Moved, run_on
 from gcnd.weights import save_cascade
 
 NODES = NetworkConfig("nodes", 17, (8,), (8,), 16, (8,), 4, "node")
@@ -107,12 +107,11 @@ def controls(rng: Rng, _: Path) -> bool:
     vertices, faces = wild.mesh(rng)
     options = random_controls(rng, len(vertices))
 
-    def move(mesh: Any, _: Any) -> Any:
+    def move(mesh: Any, _: Any) -> Moved:
         with np.errstate(over="ignore"):
             step = rng.normal(size=mesh.vertices.shape) * rng.choice([0.0, 1e-3, 1.0, 1e6])
-            return np.clip(
-                mesh.vertices + step * max(np.abs(mesh.vertices).max(), 1e-300), -1.7e308, 1.7e308
-            ), None
+            moved = mesh.vertices + step * max(np.abs(mesh.vertices).max(), 1e-300)
+            return Moved(np.clip(moved, -1.7e308, 1.7e308))
 
     with refusals(GcndError):
         done = run_on((vertices, faces), move, Controls(**options), {"method": "fuzz"})
