@@ -23,6 +23,10 @@ MOST_PASSES, MOST_ITERATIONS = 100, 10_000
 """What a weights file may ask for: a run must end."""
 
 
+VERTEX_ITERATIONS = 15
+"""Iterations of Eq. 6 after every pass, where nothing else is said."""
+
+
 @dataclass(frozen=True)
 class PatchConfig:
     """How patches are cut from a mesh; must be the same in training and at run time.
@@ -155,7 +159,7 @@ class CascadeConfig:
 
     stages: tuple[StageConfig, ...]
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
-    vertex_iterations: int = 15
+    vertex_iterations: int = VERTEX_ITERATIONS
 
     def __post_init__(self) -> None:
         check_whole("vertex_iterations", self.vertex_iterations, 0, MOST_ITERATIONS)
@@ -196,9 +200,15 @@ class Cascade(nn.Module):
         self.stages = nn.ModuleList(build_network(stage.network) for stage in config.stages)
 
     @classmethod
-    def assembled(cls, stages: list[tuple[StageConfig, nn.Module]], refinement: RefinementConfig) -> Cascade:
+    def assembled(
+        cls,
+        stages: list[tuple[StageConfig, nn.Module]],
+        refinement: RefinementConfig,
+        vertex_iterations: int = VERTEX_ITERATIONS,
+    ) -> Cascade:
         """Makes a cascade with a copy of the weights of networks that were trained one after the other."""
-        cascade = cls(CascadeConfig(tuple(config for config, _ in stages), refinement=refinement))
+        configs = tuple(config for config, _ in stages)
+        cascade = cls(CascadeConfig(configs, refinement, vertex_iterations))
         for own, (_, network) in zip(cascade.stages, stages, strict=True):
             own.load_state_dict(network.state_dict())
         return cascade

@@ -11,6 +11,7 @@ import torch
 from gcnd import _geom
 from gcnd.errors import ConfigError
 from gcnd.formats.atomic import write_atomic_npz
+from gcnd.nn.cascade import VERTEX_ITERATIONS
 from gcnd.predict import predict_normals
 from gcnd.train.samples import NoisyMesh
 
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
     from gcnd.nn.fold import Precision
     from gcnd.train.samples import CleanShape, VertexSource
 
-VERTEX_ITERATIONS = 15
-"""Iterations of Eq. 6 between stages, in training as at run time."""
-
 _STREAM = 0x706F6F6C
 """Keeps the pool's random numbers apart from those of the patches."""
 
@@ -38,6 +36,7 @@ def run_stages(
     seed: int,
     device: str = "cpu",
     precision: Precision = "float32",
+    vertex_iterations: int = VERTEX_ITERATIONS,
 ) -> NoisyMesh:
     """Denoises a mesh by every stage in turn: normals, then vertex updating (paper Sec. 5.1)."""
     topology = mesh.shape.topology
@@ -52,7 +51,7 @@ def run_stages(
             device=device,
             precision=precision,
         )
-        moved = _geom.update_vertices(topology, mesh.vertices, prediction.normals, VERTEX_ITERATIONS)
+        moved = _geom.update_vertices(topology, mesh.vertices, prediction.normals, vertex_iterations)
         mesh = mesh._replace(vertices=moved)
     return mesh
 
@@ -76,6 +75,7 @@ class DenoisedPool:
         seed: int,
         device: str = "cpu",
         precision: Precision = "float32",
+        vertex_iterations: int = VERTEX_ITERATIONS,
         progress: Callable[[int, int], None] | None = None,
     ):
         folder.mkdir(parents=True, exist_ok=True)
@@ -87,7 +87,7 @@ class DenoisedPool:
             path = folder / f"{number:04d}.npz"
             if not path.exists():
                 noisy = noise.draw(np.random.default_rng([seed, _STREAM, number]))
-                denoised = run_stages(noisy, stages, seed + number, device, precision)
+                denoised = run_stages(noisy, stages, seed + number, device, precision, vertex_iterations)
                 index = by_identity[id(noisy.shape)]
                 write_atomic_npz(
                     path,

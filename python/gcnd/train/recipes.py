@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from gcnd.errors import ConfigError
-from gcnd.nn.cascade import PatchConfig, RefinementConfig, StageConfig
+from gcnd.nn.cascade import VERTEX_ITERATIONS, PatchConfig, RefinementConfig, StageConfig
 from gcnd.nn.networks import PAPER_FIRST, PAPER_NEXT, NetworkConfig
 from gcnd.train.loop import TrainConfig
 from gcnd.train.samples import ChunkConfig
@@ -45,6 +45,7 @@ class Recipe:
         seed: Of shapes, data and weights.
         data: What is learned from: vertex noise on the shapes, or simulated scans of them.
         n_scans: Simulated scans.
+        vertex_iterations: Of Eq. 6 after every pass.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Recipe:
     seed: int = field(default=0)
     data: Literal["noise", "scans"] = "noise"
     n_scans: int = 0
+    vertex_iterations: int = VERTEX_ITERATIONS
 
 
 REFINE_WHERE_CONSISTENT = RefinementConfig(iterations=12, sigma_r=0.15, tolerance=3.0, largest_spread=0.03)
@@ -104,6 +106,10 @@ SCAN_PATCH = PatchConfig(patch_scale=8.0, n_nodes=256, scale_space=True, roughne
 Choice: docs/choices.md#scan-patches."""
 
 
+SCAN_VERTEX_ITERATIONS = 60
+"""Noise wider than a face is taken away slowly. Choice: docs/choices.md#scan-vertex-updating."""
+
+
 def _scan(*steps: int) -> Recipe:
     """The default's networks on simulated scans; every draw of patches is from one of a fixed number of pairs."""
     recipe = _default(*steps)
@@ -125,6 +131,7 @@ def _scan(*steps: int) -> Recipe:
         pool_size=160,
         data="scans",
         n_scans=480,
+        vertex_iterations=SCAN_VERTEX_ITERATIONS,
     )
 
 

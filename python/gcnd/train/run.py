@@ -96,7 +96,7 @@ class TrainingRun:
             network: nn.Module = build_network(config.stage.network).to(self.device)
             network.load_state_dict(load_tensors(path)[0])
             trained.append((config.stage, network.eval()))
-        cascade = Cascade.assembled(trained, self.recipe.refinement)
+        cascade = Cascade.assembled(trained, self.recipe.refinement, self.recipe.vertex_iterations)
         out = self.folder / f"{self.recipe.name}.safetensors"
         if self.is_first:
             save_cascade(out, cascade, {"recipe": self.recipe.name})
@@ -123,7 +123,7 @@ class TrainingRun:
         before = written_out(earlier)
         source = self._source(index, config, before)
         starts = [
-            run_stages(mesh, before, 0, self.device, config.precision)
+            run_stages(mesh, before, 0, self.device, config.precision, self.recipe.vertex_iterations)
             for mesh in (self.corpus.validation if self.is_first else [])
         ]
         trainer = Trainer(config, source, self._initial_weights(index, config, earlier), self.device)
@@ -170,6 +170,7 @@ class TrainingRun:
                 self.recipe.seed,
                 self.device,
                 config.precision,
+                self.recipe.vertex_iterations,
             )
 
     def _initial_weights(
