@@ -6,7 +6,7 @@ RUST_SOURCES := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml
 MODULE := python/gcnd/_geom.abi3.so
 WHEEL_OPTIONS := $(if $(filter Linux,$(shell uname -s)),--zig --compatibility manylinux_2_28)
 
-.PHONY: demo test test-rust test-python lint bench train docs wheel check-wheel audit clean
+.PHONY: demo test test-rust test-python lint bench train docs wheel check-wheel blender audit clean
 .DEFAULT_GOAL := demo
 
 # The virtual environment with everything that pyproject.toml names, once.
@@ -36,8 +36,8 @@ test-python: $(MODULE)
 lint: $(MODULE)
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --quiet -- -D warnings
-	$(BIN)/ruff format --check python tests benches scripts
-	$(BIN)/ruff check python tests benches scripts
+	$(BIN)/ruff format --check python tests benches scripts plugins
+	$(BIN)/ruff check python tests benches scripts plugins
 	$(BIN)/mypy
 
 bench: $(MODULE)
@@ -65,6 +65,10 @@ wheel: $(VENV)/.installed-wheel
 # What is in the wheel, and a mesh denoised with it in an empty environment of every Python at hand.
 check-wheel: wheel
 	$(BIN)/python scripts/check_wheel.py dist
+
+# The Blender extension, into dist/: docs/plugins.md.
+blender:
+	$(PYTHON) scripts/blender_extension.py
 
 # Known vulnerabilities and licences of what is depended on; asks the advisory databases, so needs a network.
 audit: $(VENV)/.installed-audit
