@@ -212,9 +212,9 @@ def test_presets_are_read_from_gcnd(ball: Any) -> None:
         items = module("settings")._preset_items(ball.gcnd_denoise, bpy.context)
         return [name for name, _, _ in items]
 
-    assert names() == ["default", "fast"]
+    assert names() == ["auto", "default", "fast"]
     assert bpy.ops.gcnd.read_presets() == {"FINISHED"}
-    assert names() == [model.name for model in list_models()]
+    assert names() == ["auto", *(model.name for model in list_models())]
     assert ball.gcnd_denoise.preset == "fast"
     ball.gcnd_denoise.preset = "paper"
     settings_of_addon().presets = ""

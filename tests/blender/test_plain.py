@@ -268,7 +268,7 @@ def test_gcnd_that_cannot_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_presets_of_the_command_and_of_python_are_the_same() -> None:
     found = presets.from_command((sys.executable, "-m", "gcnd.cli"))
     assert found == presets.from_python()
-    assert [name for name, _ in found][:2] == [name for name, _ in presets.KNOWN]
+    assert [name for name, _ in found][:3] == [name for name, _ in presets.KNOWN]
     assert presets.parsed(presets.stored(found)) == found
 
 

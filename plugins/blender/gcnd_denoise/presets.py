@@ -1,4 +1,4 @@
-"""The presets that the panel offers: two that every gcnd has, or all that the installed one lists. Needs no Blender."""
+"""The presets that the panel offers: those that every gcnd has, or all that the installed one lists. Needs no Blender."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ __all__ = ["KNOWN", "Preset", "from_command", "from_python", "parsed", "stored"]
 Preset = tuple[str, str]
 """Name, and one line about it."""
 
+AUTO: Preset = ("auto", "Chooses the weights by the mesh")
+
 KNOWN: tuple[Preset, ...] = (
+    AUTO,
     ("default", "The most accurate weights"),
     ("fast", "Several times as fast, less accurate"),
 )
@@ -44,7 +47,7 @@ def from_command(command: tuple[str, ...]) -> tuple[Preset, ...]:
         raise Failure(f"{command[0]} did not answer for {_SECONDS} seconds") from error
     if done.returncode != 0:
         raise told_error(done.stderr.splitlines(), done.returncode)
-    return parsed(done.stdout)
+    return (AUTO, *parsed(done.stdout))
 
 
 def from_python() -> tuple[Preset, ...]:
@@ -57,7 +60,7 @@ def from_python() -> tuple[Preset, ...]:
         from gcnd.weights import list_models
     except ImportError as error:
         raise Failure(f"gcnd cannot be imported: {error}") from error
-    return tuple((model.name, model.description) for model in list_models())
+    return (AUTO, *((model.name, model.description) for model in list_models()))
 
 
 def parsed(text: str) -> tuple[Preset, ...]:
