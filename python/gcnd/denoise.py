@@ -7,7 +7,7 @@ last → save.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from gcnd.nn.fold import Precision
 
 
+Boundary: TypeAlias = Literal["free", "along", "fixed"]
+"""How vertices on a boundary move; see ``denoise``."""
+
+
 def denoise(
     mesh: Any,
     *,
@@ -35,6 +39,8 @@ def denoise(
     normal_iterations: int | None = None,
     vertex_iterations: int | None = None,
     precision: Precision | None = None,
+    boundary: Boundary = "along",
+    triangulate: bool = False,
     strength: float = 1.0,
     max_displacement: float | None = None,
     max_displacement_edges: float | None = None,
@@ -60,6 +66,10 @@ def denoise(
         vertex_iterations: Iterations of vertex updating (Eq. 6) after each stage; ``None`` takes the preset's, 15.
         precision: "float32" or "bfloat16" for the network's products; ``None`` takes the fastest that is measured safe
             on the device, see ``gcnd.predict.fast_precision``.
+        boundary: How vertices on a boundary of an open mesh move: "along" the normal of the surface only, so that the
+            outline stays; "free", like all others; "fixed", not at all. Closed meshes have none.
+        triangulate: Whether faces of four corners and more are split for the work, see ``gcnd.mesh_io.load``; they are
+            refused otherwise.
         strength: 0 keeps the input bit for bit, 1 is the full result; every vertex goes that share of its way.
         max_displacement: No vertex moves further, in mesh units.
         max_displacement_edges: The same in mean edge lengths; with both, the smaller counts.
@@ -78,7 +88,10 @@ def denoise(
         ConfigError: A parameter is out of range or the preset is unknown.
         WeightsError: The weights cannot be read or do not fit.
 
-    Paper: Secs. 3–6.
+    Warns:
+        MeshWarning: Faces disagree on which side is out, or none touches another.
+
+    Paper: Secs. 3–6. Choice: docs/choices.md#boundary-vertices, docs/choices.md#orientation.
 
     Example:
         >>> import gcnd, trimesh
@@ -96,6 +109,8 @@ def denoise(
         normal_iterations=normal_iterations,
         vertex_iterations=vertex_iterations,
         precision=precision,
+        boundary=boundary,
+        triangulate=triangulate,
         controls=Controls(strength, max_displacement, max_displacement_edges, keep, preserve_volume),
     )
     if confidence:
@@ -121,6 +136,7 @@ def denoise_arrays(
     normal_iterations: int | None = None,
     vertex_iterations: int | None = None,
     precision: Precision | None = None,
+    boundary: Boundary = "along",
     progress: Progress | None = None,
 ) -> NDArray[np.float64]:
     """Runs a cascade over arrays and returns denoised positions (V, 3).
@@ -137,6 +153,7 @@ def denoise_arrays(
         normal_iterations=normal_iterations,
         vertex_iterations=vertex_iterations,
         precision=precision,
+        boundary=boundary,
         stages=stages,
     )
     stages(1.0, "done")
@@ -153,6 +170,7 @@ def clean_arrays(
     normal_iterations: int | None,
     vertex_iterations: int | None,
     precision: Precision | None,
+    boundary: Boundary,
     stages: Stages,
 ) -> Cleaned:
     """Runs a cascade over arrays; the line of ``denoise`` between reading and writing.
@@ -200,7 +218,7 @@ def clean_arrays(
         if index == len(passes) - 1:
             normals = refined(topology, vertices, prediction, refinement)
             stages(1.0, f"vertices, {number}")
-        vertices = _geom.update_vertices(topology, vertices, normals, vertex_iterations)
+        vertices = _geom.update_vertices(topology, vertices, normals, vertex_iterations, boundary)
     overlaps = passes[-1][0].coverage is not None
     return Cleaned(vertices + origin, agreement(topology, prediction.spread) if overlaps else None)
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from gcnd.controls import Controls
-from gcnd.denoise import clean_arrays
+from gcnd.denoise import Boundary, clean_arrays
 from gcnd.errors import ConfigError, WeightsError, check_count
 from gcnd.predict import fast_precision
 from gcnd.runs import Denoised, run_on
@@ -55,8 +55,12 @@ class Denoiser:
         normal_iterations: int | None = None,
         vertex_iterations: int | None = None,
         precision: Precision | None = None,
+        boundary: Boundary = "along",
+        triangulate: bool = False,
         controls: Controls | None = None,
     ) -> None:
+        if boundary not in get_args(Boundary):
+            raise ConfigError(f"boundary is {boundary!r}, allowed: {', '.join(get_args(Boundary))}")
         check_count("seed", seed)
         check_count("normal_iterations", normal_iterations)
         check_count("vertex_iterations", vertex_iterations)
@@ -66,7 +70,9 @@ class Denoiser:
             "normal_iterations": normal_iterations,
             "vertex_iterations": vertex_iterations,
             "precision": precision,
+            "boundary": boundary,
         }
+        self.triangulate = triangulate
         self.cascade = load_cascade(preset, device)
         self.sha256 = weights_hash(preset)
 
@@ -101,7 +107,7 @@ class Denoiser:
 
         method = {"preset": self.preset, "sha256": self.sha256, "device": self.device, **self.settings}
         method["precision"] = self.settings["precision"] or fast_precision(self.device)
-        return run_on(mesh, move, controls or self.controls, method, progress)
+        return run_on(mesh, move, controls or self.controls, method, progress, self.triangulate)
 
     def check_confidence(self) -> None:
         """Raises ``ConfigError`` where the weights predict each face once, so that there is nothing to compare."""

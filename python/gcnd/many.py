@@ -17,7 +17,14 @@ from gcnd.mesh_io import SUPPORTED, check_output_path, load, save
 from gcnd.runs import Denoised, Method
 from gcnd.stages import Progress
 
-__all__ = ["Outcome", "check_confidence_path", "denoise_many", "mesh_files", "write_denoised"]
+__all__ = [
+    "Outcome",
+    "check_confidence_path",
+    "check_polygons_path",
+    "denoise_many",
+    "mesh_files",
+    "write_denoised",
+]
 
 Folder: TypeAlias = "str | os.PathLike[str]"
 
@@ -34,6 +41,7 @@ class Outcome:
         output: The file that was written or was there, or None.
         denoised: What was found; None where it was written to a file, so that meshes do not pile up in memory.
         report: What ran and what it changed, where asked for.
+        warnings: What is wrong with the mesh, in sentences.
     """
 
     name: str
@@ -43,6 +51,7 @@ class Outcome:
     output: Path | None = None
     denoised: Denoised | None = None
     report: dict[str, Any] | None = None
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +70,7 @@ def denoise_many(
     overwrite: bool = False,
     confidence: bool = False,
     reports: bool = False,
+    triangulate: bool = False,
     progress: Progress | None = None,
 ) -> list[Outcome]:
     """Denoises many meshes, one after the other, and says of each what became of it.
@@ -77,6 +87,7 @@ def denoise_many(
         overwrite: Whether to work again on what is done.
         confidence: Whether files get the confidence by face as an attribute; only PLY can hold it.
         reports: Whether outcomes have a report.
+        triangulate: Whether faces of more than three corners, in files, are split for the work and written whole again.
         progress: Called with (fraction of all, the name at work and its number); returning False cancels all.
 
     Returns:
@@ -111,7 +122,7 @@ def denoise_many(
         if not overwrite and _is_done(job):
             outcomes.append(Outcome(job.name, "skipped", output=job.output))
         else:
-            outcomes.append(_run(job, denoiser, confidence, reports, told))
+            outcomes.append(_run(job, denoiser, confidence, reports, triangulate, told))
         past += job.weight
     if progress is not None:
         progress(1.0, "done")
@@ -161,6 +172,29 @@ def check_confidence_path(path: Path) -> None:
         raise ConfigError(f"{path}: only .ply holds a confidence by face", "name an output that ends in .ply")
 
 
+def check_polygons_path(mesh: Any, source: Path, path: Path, confidence: bool = False) -> None:
+    """Checks that faces split for the work can be written whole again, before any long work.
+
+    Args:
+        mesh: As `load` returns it.
+        source: The file it was read from.
+        path: Where the result will be written.
+        confidence: Whether the result gets a confidence by face, for which its file is made anew.
+
+    Raises:
+        ConfigError: They cannot.
+    """
+    if "polygons" not in mesh.metadata:
+        return
+    if source.suffix.lower() != path.suffix.lower():
+        raise ConfigError(
+            f"{path}: faces of more than three corners stay whole only in a file of the input's format",
+            f"name an output that ends in {source.suffix}",
+        )
+    if confidence:
+        raise ConfigError("a confidence by face is for triangles, and the mesh has other faces")
+
+
 def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[_Job]:
     if isinstance(meshes, str | os.PathLike):
         folder = Path(meshes)
@@ -208,22 +242,30 @@ def _is_done(job: _Job) -> bool:
     return job.output.stat().st_mtime_ns >= os.stat(job.mesh).st_mtime_ns
 
 
-def _run(job: _Job, denoiser: Method, confidence: bool, reports: bool, progress: Progress) -> Outcome:
+def _run(
+    job: _Job, denoiser: Method, confidence: bool, reports: bool, triangulate: bool, progress: Progress
+) -> Outcome:
     started = time.perf_counter()
     try:
         if job.output is None:
-            done = denoiser.run(job.mesh, progress=progress)
+            is_path = isinstance(job.mesh, str | os.PathLike)
+            mesh = load(job.mesh, triangulate=triangulate) if is_path else job.mesh
+            done = denoiser.run(mesh, progress=progress)
             report = done.report() if reports else None
-            return Outcome(job.name, "done", time.perf_counter() - started, denoised=done, report=report)
+            seconds = time.perf_counter() - started
+            return Outcome(job.name, "done", seconds, denoised=done, report=report, warnings=done.warnings)
         if confidence:
             check_confidence_path(job.output)
         job.output.parent.mkdir(parents=True, exist_ok=True)
         check_output_path(job.output, job.mesh)
-        mesh = load(job.mesh, shape_only=job.output.suffix.lower() == job.mesh.suffix.lower())
+        is_same = job.output.suffix.lower() == job.mesh.suffix.lower()
+        mesh = load(job.mesh, shape_only=is_same, triangulate=triangulate)
+        check_polygons_path(mesh, job.mesh, job.output, confidence)
         done = denoiser.run(mesh, progress=progress)
         write_denoised(done, job.output, source=job.mesh, confidence=confidence)
         report = done.report() if reports else None
-        return Outcome(job.name, "done", time.perf_counter() - started, output=job.output, report=report)
+        seconds = time.perf_counter() - started
+        return Outcome(job.name, "done", seconds, output=job.output, report=report, warnings=done.warnings)
     except Cancelled:
         raise
     except (
