@@ -332,10 +332,10 @@ mod tests {
                 assert_eq!((along[vertex_id], fixed[vertex_id]), (free[vertex_id], free[vertex_id]));
                 continue;
             }
-            let faces = topology.vertex_faces().row(vertex_id).iter();
-            let mean: DVec3 = faces.map(|&face_id| normals[face_id as usize].normalize()).sum();
+            let around = topology.vertex_faces().row(vertex_id).iter();
+            let mean: DVec3 = around.map(|&face_id| normals[face_id as usize].normalize()).sum();
             let across = tangents[vertex_id].cross(mean).normalize();
-            let [step, way] = [free, along].map(|moved| moved[vertex_id] - vertices[vertex_id]);
+            let [step, way] = [&free, &along].map(|moved| moved[vertex_id] - vertices[vertex_id]);
             assert!(way.dot(across).abs() < 1e-15, "vertex {vertex_id} went {way}");
             assert!((step - way).reject_from(across).length() < 1e-15, "nothing else is taken away");
             taken = taken.max((step - way).length());
