@@ -3,9 +3,9 @@
     python benches/boundary.py [--preset fast] [--pictures DIR]
 
 prints a table in Markdown. Lengths are in mean edges of the input. "Across" is the direction that lies in the clean
-surface and points outwards across its rim: "moved across" is how far the rim went that way, the root of the mean
-square, and "mean" the mean, below 0 where the outline shrinks; "off across" is the rim's distance from the true one that
-way. With ``--pictures``, frames are drawn before and after, from the camera's place.
+surface and points outwards across its rim. "Moved across" is how far the rim went that way, root mean square; "mean" is
+its mean, below 0 where the outline shrinks; "off across" is the rim's distance from the true one that way.
+With ``--pictures``, frames are drawn before and after, from the camera's place.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scan_cases import (
+from sheet_cases import (
     SIDE,
     angles,
     cleaned,
@@ -46,7 +46,7 @@ def test_triangles_that_hang_on_the_rim_reach_no_further_than_three_edges(undist
     edges = np.column_stack([(starts + 1) * (SIDE + 1), starts * (SIDE + 1)])
     middles = TRUTH[edges].mean(axis=1)
     faces = np.concatenate([FACES, np.column_stack([edges, N + np.arange(len(edges))])]).astype(np.uint32)
-    result = cleaned(np.concatenate([NOISY, middles + [0.0, -1.0, 9.0]]), faces)
+    result = cleaned(np.concatenate([NOISY, middles + np.array([0.0, -1.0, 9.0])]), faces)
     found, distance = angles(result[:N], TRUTH, FACES), distance_to(middles, TRUTH, FACES)
     before = angles(NOISY, TRUTH, FACES)
     assert found[distance >= 3.0].mean() < 1.2 * undisturbed[distance >= 3.0].mean()
@@ -96,7 +96,7 @@ def test_small_islands_stay_put() -> None:
     truths, noisy, faces = [TRUTH], [NOISY], [FACES]
     for number in range(5):
         island, ids = even_sheet(2)
-        island = island + [5.0 * number, 3.0 * number, 6.0]
+        island = island + np.array([5.0 * number, 3.0 * number, 6.0])
         faces.append(ids + N + 9 * number)
         truths.append(island)
         noisy.append(with_noise(island, 10 + number))
@@ -130,7 +130,7 @@ def test_three_sheets_on_one_edge_and_two_at_one_point() -> None:
     is_new = np.tile(np.arange(8) > 0, SIDE + 1)
     far, far_faces = even_sheet(10)
     far_ids = np.concatenate([[N - 1], N + 7 * (SIDE + 1) + np.arange(len(far) - 1)])
-    truth = np.concatenate([TRUTH, upright[is_new], (far + [SIDE, SIDE, 0.0])[1:]])
+    truth = np.concatenate([TRUTH, upright[is_new], (far + np.array([SIDE, SIDE, 0.0]))[1:]])
     faces = np.concatenate([FACES, ids[wall_faces][:, ::-1], far_ids[far_faces]]).astype(np.uint32)
     ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     assert np.unique(ends, axis=0, return_counts=True)[1].max() == 3
@@ -139,7 +139,8 @@ def test_three_sheets_on_one_edge_and_two_at_one_point() -> None:
     found, before = angles(result, truth, faces), angles(truth + noise, truth, faces)
     at_edge = np.isin(faces, line).any(axis=1)
     at_point = np.isin(faces, N - 1).any(axis=1)
-    assert at_edge.sum() == 6 * SIDE and at_point.sum() >= 2
+    assert at_edge.sum() == 6 * SIDE
+    assert at_point.sum() >= 2
     assert found[at_edge].mean() < 0.25 * before[at_edge].mean()
     assert found[at_point].mean() < 0.5 * before[at_point].mean()
     assert found[~at_edge & ~at_point].mean() < 0.15 * before[~at_edge & ~at_point].mean()
@@ -150,7 +151,7 @@ def test_the_sheets_of_a_thin_wall_are_nearly_as_good_as_alone(gap: float) -> No
     """Closer than an edge, back to back, with noise that lets them touch at times but not cross for long."""
     level = min(0.2, gap / 5.0)
     backs = np.ascontiguousarray(FACES[:, ::-1])
-    front, back = with_noise(TRUTH + [0.0, 0.0, gap], 5, level), with_noise(TRUTH, 6, level)
+    front, back = with_noise(TRUTH + np.array([0.0, 0.0, gap]), 5, level), with_noise(TRUTH, 6, level)
     both = cleaned(np.concatenate([front, back]), np.concatenate([FACES, backs + N]).astype(np.uint32))
     for result, alone, ids in ((both[:N], front, FACES), (both[N:], back, backs)):
         single = cleaned(alone, ids)

@@ -194,8 +194,8 @@ def clean_arrays(
     if normal_iterations is not None:
         refinement = replace(refinement, iterations=normal_iterations, tolerance=None)
     # Work around the origin: far away from it, single positions keep fewer digits than noise has.
-    origin = vertices.mean(axis=0)
-    vertices = vertices - origin
+    given, origin = vertices, vertices.mean(axis=0)
+    start = vertices = given - origin
     passes = cascade.passes()
     stages(0.0, "adjacency")
     topology = _geom.Topology(faces, len(vertices))
@@ -220,7 +220,9 @@ def clean_arrays(
             stages(1.0, f"vertices, {number}")
         vertices = _geom.update_vertices(topology, vertices, normals, vertex_iterations, boundary)
     overlaps = passes[-1][0].coverage is not None
-    return Cleaned(vertices + origin, agreement(topology, prediction.spread) if overlaps else None)
+    # The way there and back rounds: what did not move keeps its bits.
+    moved = np.where((vertices == start).all(axis=1)[:, None], given, vertices + origin)
+    return Cleaned(moved, agreement(topology, prediction.spread) if overlaps else None)
 
 
 def _part(stages: Stages, index: int, n_parts: int, label: str) -> Callable[[float], None]:

@@ -51,8 +51,8 @@ def as_surface(mesh: MeshArrays) -> tuple[MeshArrays, tuple[str, ...]]:
         )
     if n_one_sided:
         told.append(
-            f"{n_one_sided:,} components have one side only, as a Möbius strip has: {n_left:,} edges are left "
-            "whose faces disagree on which side is out, and results near them may be poor"
+            "faces of one-sided components, such as a Möbius strip, cannot agree on which side is out: "
+            f"{n_left:,} edges are left in {n_one_sided:,} of them, and results near them may be poor"
         )
     return mesh, tuple(told)
 

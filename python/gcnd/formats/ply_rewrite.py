@@ -63,7 +63,8 @@ def _rewrite_polygons(changed: bytearray, start: int, element: PlyElement, order
     }
     for name, (is_new, values) in _new_columns(element, old, motion).items():
         for row in np.flatnonzero(is_new).tolist():
-            place, number = int(layout.places[name][row]), values[row].astype(dtypes[name])
+            # An array: a number alone would forget its byte order.
+            place, number = int(layout.places[name][row]), np.array([values[row]], dtype=dtypes[name])
             changed[place : place + number.itemsize] = number.tobytes()
     return layout.end
 
