@@ -6,7 +6,7 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use gcnd_geom::face_geometry::FaceGeometry;
 use gcnd_geom::fixtures;
 use gcnd_geom::normals::{Neighborhood, RefineParams, refine_normals};
-use gcnd_geom::vertex_update::update_vertices;
+use gcnd_geom::vertex_update::{Boundary, update_vertices};
 use gcnd_geom::{DVec3, Face, Topology};
 use std::hint::black_box;
 
@@ -48,7 +48,9 @@ fn vertex_update(c: &mut Criterion) {
         let topology = Topology::new(faces, vertices.len()).expect("valid");
         group.throughput(Throughput::Elements((n_faces * VERTEX_ITERATIONS) as u64));
         group.bench_function(BenchmarkId::from_parameter(n_faces), |b| {
-            b.iter(|| update_vertices(&topology, black_box(&vertices), &normals, VERTEX_ITERATIONS));
+            b.iter(|| {
+                update_vertices(&topology, black_box(&vertices), &normals, VERTEX_ITERATIONS, Boundary::Free)
+            });
         });
     }
     group.finish();

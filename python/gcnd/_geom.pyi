@@ -100,6 +100,9 @@ class Cover:
     def progress(self) -> float:
         """The fraction of the faces that have come up."""
 
+def orient(topology: Topology) -> tuple[NDArray[np.bool_], int, int, int]:
+    """Returns which faces to turn (F,), edges whose faces disagree, how many of them are left, one-sided components."""
+
 def validate(vertices: Points, faces: Faces) -> None: ...
 def weld(vertices: Points) -> tuple[Ids, Ids]:
     """Returns (first vertex at each distinct position, index into that list for each vertex)."""
@@ -142,8 +145,14 @@ def refine_consistent(
 ) -> Points:
     """Eq. 5 where it moves normals no further than the predictions disagree; ``spread`` (F,)."""
 
-def update_vertices(topology: Topology, vertices: Points, normals: Points, iterations: int) -> Points:
-    """Moves vertices to fit normals (Eq. 6)."""
+def update_vertices(
+    topology: Topology,
+    vertices: Points,
+    normals: Points,
+    iterations: int,
+    boundary: Literal["free", "along", "fixed"] = "free",
+) -> Points:
+    """Moves vertices to fit normals (Eq. 6); `boundary` as of the core's `Boundary`."""
 
 # The classical filters return positions (V, 3) and leave ``vertices`` as they are. ``progress`` is called after each
 # iteration with (iteration, total); what it raises, or Ctrl-C, stops the filter.

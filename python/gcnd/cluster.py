@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from gcnd.errors import Cancelled, ConfigError, GcndError
-from gcnd.many import Job, Outcome, run_job
+from gcnd.many import Job, Outcome, Wanted, run_job
 from gcnd.runs import Method
 from gcnd.stages import Progress
 
@@ -17,16 +17,15 @@ MAX_RETRIES = 3
 
 
 def run_on_ray(
-    jobs: Sequence[Job], denoiser: Method, *, confidence: bool, reports: bool, progress: Progress | None
+    jobs: Sequence[Job], denoiser: Method, wanted: Wanted, progress: Progress | None
 ) -> list[Outcome]:
     """Runs each job as a task of one CPU on a Ray cluster: the one this process is connected to, or a local one.
 
     Args:
         jobs: What to do; their files must be reachable from every machine under the same names.
         denoiser: Travels to the workers by pickle.
-        confidence: See ``denoise_many``, as
-        reports: and
-        progress: which is told of meshes that are done.
+        wanted: Of every mesh.
+        progress: See ``denoise_many``; told of meshes that are done.
 
     Returns:
         The outcomes, in order. One whose worker died more than `MAX_RETRIES` times has failed.
@@ -43,7 +42,7 @@ def run_on_ray(
         ray.init(log_to_driver=False, include_dashboard=False)
     work: Any = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(_work)
     shared = ray.put(denoiser)
-    index_of = {work.remote(job, shared, confidence, reports): i for i, job in enumerate(jobs)}
+    index_of = {work.remote(job, shared, wanted): i for i, job in enumerate(jobs)}
     waiting, whole, past = list(index_of), sum(job.weight for job in jobs), 0.0
     outcomes: dict[int, Outcome] = {}
     while waiting:
@@ -64,5 +63,5 @@ def run_on_ray(
     return [outcomes[index] for index in range(len(jobs))]
 
 
-def _work(job: Job, denoiser: Method, confidence: bool, reports: bool) -> Outcome:
-    return run_job(job, denoiser, confidence, reports, lambda fraction, stage: None)
+def _work(job: Job, denoiser: Method, wanted: Wanted) -> Outcome:
+    return run_job(job, denoiser, wanted, lambda fraction, stage: None)

@@ -7,7 +7,7 @@ last → save.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from gcnd.nn.fold import Precision
 
 
+Boundary: TypeAlias = Literal["free", "along", "fixed"]
+"""How vertices on a boundary move; see ``denoise``."""
+
+
 def denoise(
     mesh: Any,
     *,
@@ -36,6 +40,8 @@ def denoise(
     normal_iterations: int | None = None,
     vertex_iterations: int | None = None,
     precision: Precision | None = None,
+    boundary: Boundary = "along",
+    triangulate: bool = False,
     strength: float = 1.0,
     max_displacement: float | None = None,
     max_displacement_edges: float | None = None,
@@ -62,6 +68,10 @@ def denoise(
         vertex_iterations: Iterations of vertex updating (Eq. 6) after each stage; ``None`` takes the preset's, 15.
         precision: "float32" or "bfloat16" for the network's products; ``None`` takes the fastest that is measured safe
             on the device, see ``gcnd.predict.fast_precision``.
+        boundary: How vertices on a boundary of an open mesh move: "along" the normal of the surface only, so that the
+            outline stays; "free", like all others; "fixed", not at all. Closed meshes have none.
+        triangulate: Whether faces of four corners and more are split for the work, see ``gcnd.mesh_io.load``; they are
+            refused otherwise.
         strength: 0 keeps the input bit for bit, 1 is the full result; every vertex goes that share of its way.
         max_displacement: No vertex moves further, in mesh units.
         max_displacement_edges: The same in mean edge lengths; with both, the smaller counts.
@@ -80,7 +90,10 @@ def denoise(
         ConfigError: A parameter is out of range or the preset is unknown.
         WeightsError: The weights cannot be read or do not fit.
 
-    Paper: Secs. 3–6.
+    Warns:
+        MeshWarning: Faces disagree on which side is out, or none touches another.
+
+    Paper: Secs. 3–6. Choice: docs/choices.md#boundary-vertices, docs/choices.md#orientation.
 
     Example:
         >>> import gcnd, trimesh
@@ -98,6 +111,8 @@ def denoise(
         normal_iterations=normal_iterations,
         vertex_iterations=vertex_iterations,
         precision=precision,
+        boundary=boundary,
+        triangulate=triangulate,
         controls=Controls(strength, max_displacement, max_displacement_edges, keep, preserve_volume),
     )
     if confidence:
@@ -123,6 +138,7 @@ def denoise_arrays(
     normal_iterations: int | None = None,
     vertex_iterations: int | None = None,
     precision: Precision | None = None,
+    boundary: Boundary = "along",
     progress: Progress | None = None,
 ) -> NDArray[np.float64]:
     """Runs a cascade over arrays and returns denoised positions (V, 3).
@@ -139,6 +155,7 @@ def denoise_arrays(
         normal_iterations=normal_iterations,
         vertex_iterations=vertex_iterations,
         precision=precision,
+        boundary=boundary,
         stages=stages,
     )
     stages(1.0, "done")
@@ -155,6 +172,7 @@ def clean_arrays(
     normal_iterations: int | None,
     vertex_iterations: int | None,
     precision: Precision | None,
+    boundary: Boundary,
     stages: Stages,
 ) -> Cleaned:
     """Runs a cascade over arrays; the line of ``denoise`` between reading and writing.
@@ -178,8 +196,8 @@ def clean_arrays(
     if normal_iterations is not None:
         refinement = replace(refinement, iterations=normal_iterations, tolerance=None)
     # Work around the origin: far away from it, single positions keep fewer digits than noise has.
-    origin = vertices.mean(axis=0)
-    vertices = vertices - origin
+    given, origin = vertices, vertices.mean(axis=0)
+    start = vertices = given - origin
     passes = cascade.passes()
     stages(0.0, "adjacency")
     topology = _geom.Topology(faces, len(vertices))
@@ -202,9 +220,11 @@ def clean_arrays(
         if index == len(passes) - 1:
             normals = refined(topology, vertices, prediction, refinement)
             stages(1.0, f"vertices, {number}")
-        vertices = _geom.update_vertices(topology, vertices, normals, vertex_iterations)
+        vertices = _geom.update_vertices(topology, vertices, normals, vertex_iterations, boundary)
     overlaps = passes[-1][0].coverage is not None
-    return Cleaned(vertices + origin, agreement(topology, prediction.spread) if overlaps else None)
+    # The way there and back rounds: what did not move keeps its bits.
+    moved = np.where((vertices == start).all(axis=1)[:, None], given, vertices + origin)
+    return Cleaned(moved, agreement(topology, prediction.spread) if overlaps else None)
 
 
 def _part(stages: Stages, index: int, n_parts: int, label: str) -> Callable[[float], None]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from gcnd import _geom
 from gcnd.auto import AUTO, CANDIDATES, choose_preset, read_signs
 from gcnd.controls import Controls
-from gcnd.denoise import clean_arrays
+from gcnd.denoise import Boundary, clean_arrays
 from gcnd.errors import ConfigError, WeightsError, check_count
 from gcnd.predict import fast_precision
 from gcnd.runs import Denoised, Moved, run_on
@@ -57,8 +57,12 @@ class Denoiser:
         normal_iterations: int | None = None,
         vertex_iterations: int | None = None,
         precision: Precision | None = None,
+        boundary: Boundary = "along",
+        triangulate: bool = False,
         controls: Controls | None = None,
     ) -> None:
+        if boundary not in get_args(Boundary):
+            raise ConfigError(f"boundary is {boundary!r}, allowed: {', '.join(get_args(Boundary))}")
         check_count("seed", seed)
         check_count("normal_iterations", normal_iterations)
         check_count("vertex_iterations", vertex_iterations)
@@ -68,7 +72,9 @@ class Denoiser:
             "normal_iterations": normal_iterations,
             "vertex_iterations": vertex_iterations,
             "precision": precision,
+            "boundary": boundary,
         }
+        self.triangulate = triangulate
         names = CANDIDATES if self.preset == AUTO else (self.preset,)
         self.hashes = {name: weights_hash(name) for name in names}
         self._load()
@@ -106,7 +112,7 @@ class Denoiser:
 
         method = {"device": self.device, **self.settings}
         method["precision"] = self.settings["precision"] or fast_precision(self.device)
-        return run_on(mesh, move, controls or self.controls, method, progress)
+        return run_on(mesh, move, controls or self.controls, method, progress, self.triangulate)
 
     def _choose(self, mesh: MeshArrays) -> dict[str, Any]:
         """The preset for a mesh with what there is to say of it."""

@@ -1,4 +1,4 @@
-"""The exceptions that gcnd raises for input it cannot use.
+"""The exceptions that gcnd raises for input it cannot use, and its warning.
 
 Every one carries a message that names what is wrong and, where there is one, a hint that says what to do
 about it; the command line prints both and shows no traceback.
@@ -11,6 +11,7 @@ __all__ = [
     "ConfigError",
     "GcndError",
     "MeshError",
+    "MeshWarning",
     "WeightsError",
     "check_count",
     "check_real",
@@ -56,6 +57,10 @@ class WeightsError(GcndError):
 
 class Cancelled(GcndError):
     """Reports that a progress callback asked to stop; nothing was written or changed."""
+
+
+class MeshWarning(UserWarning):
+    """Warns of a mesh that is worked on, but not as it is or not to much use; the command line tells it in a line."""
 
 
 def check_whole(name: str, value: object, least: int, most: int) -> None:

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -20,7 +20,9 @@ from gcnd.stages import Progress
 __all__ = [
     "Job",
     "Outcome",
+    "Wanted",
     "check_confidence_path",
+    "check_polygons_path",
     "denoise_many",
     "mesh_files",
     "run_job",
@@ -43,6 +45,7 @@ class Outcome:
         denoised: What was found; None where it was written to a file, so that meshes do not pile up in memory.
         report: What ran and what it changed, where asked for.
         preset: Whose weights ran; None for a filter.
+        warnings: What is wrong with the mesh, in sentences.
     """
 
     name: str
@@ -53,6 +56,7 @@ class Outcome:
     denoised: Denoised | None = None
     report: dict[str, Any] | None = None
     preset: str | None = None
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +69,14 @@ class Job:
     weight: float
 
 
+class Wanted(NamedTuple):
+    """What is wanted of every mesh; see ``denoise_many``."""
+
+    confidence: bool = False
+    reports: bool = False
+    triangulate: bool = False
+
+
 def denoise_many(
     meshes: Folder | Iterable[Any],
     output: Folder | None = None,
@@ -73,6 +85,7 @@ def denoise_many(
     overwrite: bool = False,
     confidence: bool = False,
     reports: bool = False,
+    triangulate: bool = False,
     ray: bool = False,
     progress: Progress | None = None,
 ) -> list[Outcome]:
@@ -90,6 +103,7 @@ def denoise_many(
         overwrite: Whether to work again on what is done.
         confidence: Whether files get the confidence by face as an attribute; only PLY can hold it.
         reports: Whether outcomes have a report.
+        triangulate: Whether faces of more than three corners, in files, are split for the work and written whole again.
         ray: Whether to work on a Ray cluster, several at a time; see ``gcnd.cluster``; progress is by whole meshes.
         progress: Called with (fraction of all, the name at work and its number); returning False cancels all.
 
@@ -108,6 +122,7 @@ def denoise_many(
         ['done', 'failed']
     """
     jobs = _jobs(meshes, None if output is None else Path(output))
+    wanted = Wanted(confidence, reports, triangulate)
     if denoiser is None:
         from gcnd.denoiser import Denoiser
 
@@ -116,7 +131,7 @@ def denoise_many(
         from gcnd.cluster import run_on_ray
 
         left = [job for job in jobs if overwrite or not _is_done(job)]
-        done = iter(run_on_ray(left, denoiser, confidence=confidence, reports=reports, progress=progress))
+        done = iter(run_on_ray(left, denoiser, wanted, progress))
         at_work = {job.name for job in left}
         return [
             next(done) if job.name in at_work else Outcome(job.name, "skipped", output=job.output)
@@ -135,7 +150,7 @@ def denoise_many(
         if not overwrite and _is_done(job):
             outcomes.append(Outcome(job.name, "skipped", output=job.output))
         else:
-            outcomes.append(run_job(job, denoiser, confidence, reports, told))
+            outcomes.append(run_job(job, denoiser, wanted, told))
         past += job.weight
     if progress is not None:
         progress(1.0, "done")
@@ -185,6 +200,29 @@ def check_confidence_path(path: Path) -> None:
         raise ConfigError(f"{path}: only .ply holds a confidence by face", "name an output that ends in .ply")
 
 
+def check_polygons_path(mesh: Any, source: Path, path: Path, confidence: bool = False) -> None:
+    """Checks that faces split for the work can be written whole again, before any long work.
+
+    Args:
+        mesh: As `load` returns it.
+        source: The file it was read from.
+        path: Where the result will be written.
+        confidence: Whether the result gets a confidence by face, for which its file is made anew.
+
+    Raises:
+        ConfigError: They cannot.
+    """
+    if "polygons" not in mesh.metadata:
+        return
+    if source.suffix.lower() != path.suffix.lower():
+        raise ConfigError(
+            f"{path}: faces of more than three corners stay whole only in a file of the input's format",
+            f"name an output that ends in {source.suffix}",
+        )
+    if confidence:
+        raise ConfigError("a confidence by face is for triangles, and the mesh has other faces")
+
+
 def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[Job]:
     if isinstance(meshes, str | os.PathLike):
         folder = Path(meshes)
@@ -232,21 +270,25 @@ def _is_done(job: Job) -> bool:
     return job.output.stat().st_mtime_ns >= os.stat(job.mesh).st_mtime_ns
 
 
-def run_job(job: Job, denoiser: Method, confidence: bool, reports: bool, progress: Progress) -> Outcome:
+def run_job(job: Job, denoiser: Method, wanted: Wanted, progress: Progress) -> Outcome:
     """Works on one mesh, as ``denoise_many`` says; what is wrong with it is told in the outcome."""
     started = time.perf_counter()
     try:
         if job.output is None:
-            done = denoiser.run(job.mesh, progress=progress)
-            return _done(job, started, done, reports, denoised=done)
-        if confidence:
+            is_path = isinstance(job.mesh, str | os.PathLike)
+            mesh = load(job.mesh, triangulate=wanted.triangulate) if is_path else job.mesh
+            done = denoiser.run(mesh, progress=progress)
+            return _done(job, started, done, wanted, denoised=done)
+        if wanted.confidence:
             check_confidence_path(job.output)
         job.output.parent.mkdir(parents=True, exist_ok=True)
         check_output_path(job.output, job.mesh)
-        mesh = load(job.mesh, shape_only=job.output.suffix.lower() == job.mesh.suffix.lower())
+        is_same = job.output.suffix.lower() == job.mesh.suffix.lower()
+        mesh = load(job.mesh, shape_only=is_same, triangulate=wanted.triangulate)
+        check_polygons_path(mesh, job.mesh, job.output, wanted.confidence)
         done = denoiser.run(mesh, progress=progress)
-        write_denoised(done, job.output, source=job.mesh, confidence=confidence)
-        return _done(job, started, done, reports, output=job.output)
+        write_denoised(done, job.output, source=job.mesh, confidence=wanted.confidence)
+        return _done(job, started, done, wanted, output=job.output)
     except Cancelled:
         raise
     except (
@@ -255,12 +297,13 @@ def run_job(job: Job, denoiser: Method, confidence: bool, reports: bool, progres
         return Outcome(job.name, "failed", time.perf_counter() - started, error=error)
 
 
-def _done(job: Job, started: float, done: Denoised, reports: bool, **result: Any) -> Outcome:
+def _done(job: Job, started: float, done: Denoised, wanted: Wanted, **result: Any) -> Outcome:
     return Outcome(
         job.name,
         "done",
         time.perf_counter() - started,
-        report=done.report() if reports else None,
+        report=done.report() if wanted.reports else None,
+        warnings=done.warnings,
         preset=done.method.get("preset"),
         **result,
     )

@@ -43,17 +43,18 @@ __all__ = ["SUPPORTED", "MeshArrays", "check_output_path", "load", "save", "to_a
 MeshPath: TypeAlias = "str | os.PathLike[str]"
 Result = TypeVar("Result")
 
-_READERS: Mapping[str, Callable[[bytes], ParsedMesh]] = {
+_READERS: Mapping[str, Callable[..., ParsedMesh]] = {
     ".ply": read_ply,
     ".obj": read_obj,
     ".stl": read_stl,
     ".off": read_off,
 }
+_WITH_POLYGONS = (".ply", ".obj", ".off")
 SUPPORTED: tuple[str, ...] = (*_READERS, ".glb")
 """The file extensions that can be read and written."""
 
 
-def to_arrays(mesh: Any) -> tuple[MeshArrays, Callable[[ArrayLike], Any]]:
+def to_arrays(mesh: Any, *, triangulate: bool = False) -> tuple[MeshArrays, Callable[[ArrayLike], Any]]:
     """Takes any accepted mesh apart into arrays, and returns how to put moved vertices back.
 
     The input is never changed, and the arrays share no memory with it.
@@ -61,6 +62,8 @@ def to_arrays(mesh: Any) -> tuple[MeshArrays, Callable[[ArrayLike], Any]]:
     Args:
         mesh: A trimesh.Trimesh, pyvista.PolyData, meshio.Mesh or open3d TriangleMesh, legacy or of tensors; a pair
             (vertices (V, 3), faces (F, 3)) of numpy arrays, torch tensors or lists; or the path of a mesh file.
+        triangulate: Whether faces of four corners and more, of a pair or a file, are split into triangles; a pair comes
+            back with its own faces.
 
     Returns:
         The arrays, and a function that takes vertices (V, 3) and returns the same kind of mesh with them and with all
@@ -80,13 +83,13 @@ def to_arrays(mesh: Any) -> tuple[MeshArrays, Callable[[ArrayLike], Any]]:
         [1.0, 1.0, 1.0]
     """
     if isinstance(mesh, str | os.PathLike):
-        mesh = load(mesh)
-    taken = take_apart(mesh)
+        mesh = load(mesh, triangulate=triangulate)
+    taken = take_apart(mesh, triangulate=triangulate)
     arrays = checked(taken.vertices, taken.faces)
     return arrays, lambda vertices: taken.rebuild(_same_shape(vertices, arrays))
 
 
-def load(path: MeshPath, *, shape_only: bool = False) -> trimesh.Trimesh:
+def load(path: MeshPath, *, shape_only: bool = False, triangulate: bool = False) -> trimesh.Trimesh:
     """Reads a triangle mesh with its vertices and faces in exactly the file's order.
 
     Nothing is merged, removed or repaired. A vertex with several texture coordinates is repeated behind all
@@ -97,6 +100,9 @@ def load(path: MeshPath, *, shape_only: bool = False) -> trimesh.Trimesh:
         path: A .ply, .obj, .stl, .off or .glb file.
         shape_only: Of a .glb scene, takes only positions, faces and attributes ``_NAME``, so that parts of different
             materials fit together, as is enough for `save` with ``like``.
+        triangulate: Whether faces of four corners and more, in .ply, .obj and .off, are split into triangles with their
+            colours and attributes; `save` with ``like`` writes them whole again. ``metadata["polygons"]`` is then how
+            many faces the file has.
 
     Returns:
         The mesh, coordinates in file units.
@@ -111,7 +117,7 @@ def load(path: MeshPath, *, shape_only: bool = False) -> trimesh.Trimesh:
         (34834, 3)
     """
     path = Path(path)
-    return _read(path, lambda data: _built(data, path, shape_only))
+    return _read(path, lambda data: _built(data, path, shape_only, triangulate))
 
 
 def save(mesh: Any, path: MeshPath, *, like: MeshPath | None = None) -> None:
@@ -158,17 +164,14 @@ def _written_again(mesh: Any, source: Path, path: Path) -> dict[Path, bytes] | N
     arrays, _ = to_arrays(mesh)
 
     def change(data: bytes) -> dict[Path, bytes] | None:
-        parsed = (
-            read_glb_shape(data)
-            if extension == ".glb"
-            else _READERS[extension](_without_mark(data, extension))
-        )
+        parsed = read_glb_shape(data) if extension == ".glb" else _parsed(data, extension, triangulate=True)
         if len(parsed.vertices) != len(arrays.vertices) or not np.array_equal(parsed.faces, arrays.faces):
             raise MeshError("it has other faces than the mesh", "name the file that the mesh was read from")
         own = parsed.source_vertex
         n_own = len(arrays.vertices) if own is None else int(own.max()) + 1
         faces = parsed.faces if own is None else own[parsed.faces]
-        changed = rewrite(data, extension, Motion(parsed.vertices[:n_own], arrays.vertices[:n_own], faces))
+        motion = Motion(parsed.vertices[:n_own], arrays.vertices[:n_own], faces, parsed.polygons)
+        changed = rewrite(data, extension, motion)
         return None if changed is None else {**copies_of_referred(data, source, path), path: changed}
 
     return _read(source, change)
@@ -220,14 +223,23 @@ def _read(path: Path, parse: Callable[[bytes], Result]) -> Result:
         raise MeshError(f"cannot read {path} as {extension[1:].upper()}: {reason}", DAMAGED_HINT) from error
 
 
-def _built(data: bytes, path: Path, shape_only: bool) -> trimesh.Trimesh:
+def _parsed(data: bytes, extension: str, triangulate: bool) -> ParsedMesh:
+    """What the reader of a format other than GLB makes of a file."""
+    options = {"triangulate": triangulate} if extension in _WITH_POLYGONS else {}
+    parsed = _READERS[extension](_without_mark(data, extension), **options)
+    if parsed.polygons is not None:
+        parsed.metadata["polygons"] = parsed.polygons.n_faces
+    return parsed
+
+
+def _built(data: bytes, path: Path, shape_only: bool, triangulate: bool) -> trimesh.Trimesh:
     extension = path.suffix.lower()
     material: Any = None
     if extension == ".glb":
         check_glb(data)
         parsed, material = (read_glb_shape(data), None) if shape_only else _read_glb(data, path)
     else:
-        parsed = _READERS[extension](_without_mark(data, extension))
+        parsed = _parsed(data, extension, triangulate)
     return _build(parsed, checked(parsed.vertices, parsed.faces), material, path)
 
 

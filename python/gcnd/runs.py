@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -14,10 +15,12 @@ from numpy.typing import NDArray
 
 from gcnd import _geom
 from gcnd.controls import Controls
+from gcnd.errors import MeshWarning
 from gcnd.memory import check_memory
 from gcnd.mesh_io import MeshArrays, load, to_arrays
 from gcnd.report import make_report
 from gcnd.stages import Progress, Stages
+from gcnd.surface import as_surface
 
 __all__ = ["Denoised", "Method", "Moved", "run_on"]
 
@@ -51,6 +54,7 @@ class Denoised:
         after: The vertices (V, 3) that ``mesh`` has, float64.
         seconds: Wall-clock seconds by stage.
         method: What ran, as JSON-ready values.
+        warnings: What is wrong with the mesh, in sentences.
     """
 
     mesh: Any
@@ -59,10 +63,12 @@ class Denoised:
     after: NDArray[np.float64]
     seconds: dict[str, float]
     method: dict[str, Any]
+    warnings: tuple[str, ...] = ()
 
     def report(self) -> dict[str, Any]:
         """Returns what ran, how long it took and what it changed, as JSON-ready values; see ``gcnd.report``."""
-        return make_report(self.before, self.after, self.method, self.seconds)
+        report = make_report(self.before, self.after, self.method, self.seconds)
+        return {**report, "warnings": list(self.warnings)}
 
 
 class Method(Protocol):
@@ -74,7 +80,12 @@ class Method(Protocol):
 
 
 def run_on(
-    mesh: Any, move: Move, controls: Controls, method: dict[str, Any], progress: Progress | None = None
+    mesh: Any,
+    move: Move,
+    controls: Controls,
+    method: dict[str, Any],
+    progress: Progress | None = None,
+    triangulate: bool = False,
 ) -> Denoised:
     """Takes a mesh apart, has its vertices moved, applies the controls, and puts it together again.
 
@@ -84,24 +95,32 @@ def run_on(
         controls: How much of it is wanted.
         method: What runs, for the report.
         progress: Told how far the run has come; returning False cancels.
+        triangulate: Whether faces of four corners and more are split for the work.
 
     Raises:
         MeshError: The mesh cannot be worked on.
         ConfigError: A control does not fit the mesh.
         Cancelled: ``progress`` said so.
+
+    Warns:
+        MeshWarning: Faces disagree on which side is out, or none touches another; see ``gcnd.surface``.
     """
     stages = Stages(progress)
     stages(0.0, "reading")
     if isinstance(mesh, str | os.PathLike):
-        mesh = load(mesh)
-    arrays, rebuild = to_arrays(mesh)
+        mesh = load(mesh, triangulate=triangulate)
+    arrays, rebuild = to_arrays(mesh, triangulate=triangulate)
     _geom.validate(arrays.vertices, arrays.faces)
     check_memory(len(arrays.vertices), len(arrays.faces))
     mesh_once, finish = controls.bind(mesh, arrays)
+    mesh_once, told = as_surface(mesh_once)
+    for sentence in told:
+        # Seen from here: the method's run, what called it, and the caller's own line.
+        warnings.warn(sentence, MeshWarning, stacklevel=4)
     moved = move(mesh_once, stages)
     stages(1.0, "finishing")
     after = finish(moved.vertices)
     result = rebuild(after)
     stages(1.0, "done")
     described = {**method, **moved.described, "controls": controls.described()}
-    return Denoised(result, moved.confidence, arrays, after, stages.seconds, described)
+    return Denoised(result, moved.confidence, arrays, after, stages.seconds, described, told)

@@ -9,6 +9,7 @@
 //! |---|---|---|
 //! | validate, weld | [`mesh`] | – |
 //! | adjacency, once | [`topology`] | – |
+//! | which faces to turn | [`orientation`] | – |
 //! | normals, centroids, areas | [`face_geometry`] | Sec. 4 |
 //! | aligned patch graphs | [`patch`] | Sec. 4, Eqs. 1–3 |
 //! | the network's CPU kernels | [`kernels`] | Sec. 5.1, Eq. 4 |
@@ -32,6 +33,7 @@ pub mod kernels;
 pub mod mesh;
 pub mod metrics;
 pub mod normals;
+pub mod orientation;
 pub mod patch;
 pub mod remesh;
 pub mod smoothing;

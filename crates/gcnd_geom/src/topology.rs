@@ -70,21 +70,24 @@ impl Topology {
         &self.edge_neighbors
     }
 
-    /// Whether each vertex lies on a boundary: on an edge that one face alone uses (V).
-    pub fn boundary_vertices(&self) -> Vec<bool> {
-        let mut is_boundary = vec![false; self.n_vertices()];
-        for (face_id, face) in self.faces.iter().enumerate() {
-            for edge in 0..3 {
-                let (a, b) = (face[edge], face[(edge + 1) % 3]);
+    /// The edges that one face alone uses, from start to end as that face runs through them.
+    pub fn boundary_edges(&self) -> impl Iterator<Item = [u32; 2]> + '_ {
+        self.faces.iter().enumerate().flat_map(move |(face_id, face)| {
+            (0..3).map(|edge| [face[edge], face[(edge + 1) % 3]]).filter(move |&[a, b]| {
                 let shares = |&f: &u32| {
                     let other = &self.faces[f as usize];
                     other.contains(&a) && other.contains(&b)
                 };
-                if a != b && !self.edge_neighbors(face_id).iter().any(shares) {
-                    is_boundary[a as usize] = true;
-                    is_boundary[b as usize] = true;
-                }
-            }
+                a != b && !self.edge_neighbors(face_id).iter().any(shares)
+            })
+        })
+    }
+
+    /// Whether each vertex lies on a boundary: on one of [`Topology::boundary_edges`] (V).
+    pub fn boundary_vertices(&self) -> Vec<bool> {
+        let mut is_boundary = vec![false; self.n_vertices()];
+        for vertex_id in self.boundary_edges().flatten() {
+            is_boundary[vertex_id as usize] = true;
         }
         is_boundary
     }

@@ -8,6 +8,30 @@ use crate::topology::Topology;
 use glam::DVec3;
 use rayon::prelude::*;
 
+/// How vertices on a boundary move, those of an edge that one face alone uses.
+///
+/// With d_i the step that Eq. 6 gives vertex i, m_i = Σ_{f ∈ F_i} n_f, t_i the sum of the boundary's edges at i as
+/// vectors along the boundary, and c_i = normalize(t_i × m_i), which lies in the surface and points across its rim:
+///
+/// Choice: docs/choices.md#boundary-vertices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Boundary {
+    /// Like the others: by d_i.
+    #[default]
+    Free,
+    /// Along the normal and along the rim, never across it: by d_i − (d_i · c_i) c_i. The outline stays.
+    Along,
+    /// Not at all.
+    Fixed,
+}
+
+impl Boundary {
+    /// What the filters' switch says: held, or free.
+    pub(crate) fn held_if(is_fixed: bool) -> Self {
+        if is_fixed { Self::Fixed } else { Self::Free }
+    }
+}
+
 /// Moves every vertex towards the planes of its faces, `iterations` times:
 /// v_i ← v_i + 1 / (3 |F_i|) · Σ_{f ∈ F_i} Σ_{edges (v_i, v_j) of f} n_f · (n_f · (v_j − v_i)).
 ///
@@ -16,9 +40,11 @@ use rayon::prelude::*;
 ///   is zero pulls at nothing, but counts in |F_i|.
 /// - `iterations`: the paper takes 15; 0 returns the vertices as they are.
 ///
+/// - `boundary`: how vertices on a boundary move, see [`Boundary`].
+///
 /// Returns (V) new positions, in mesh units. Faces, and the positions of vertices without faces, stay.
-/// All vertices of an iteration move at once, from the positions of the one before; those on a boundary move
-/// like the others.
+/// All vertices of an iteration move at once, from the positions of the one before. A closed mesh has the same
+/// result, bit for bit, for every `boundary`.
 ///
 /// # Errors
 /// [`crate::GeomError::LengthMismatch`], [`crate::GeomError::NonFiniteVertex`], or
@@ -28,12 +54,12 @@ use rayon::prelude::*;
 /// Choice: docs/choices.md#faces-without-normal, docs/choices.md#boundary-vertices.
 ///
 /// ```
-/// use gcnd_geom::{fixtures, vertex_update::update_vertices, DVec3, Topology};
+/// use gcnd_geom::{fixtures, vertex_update::{Boundary, update_vertices}, DVec3, Topology};
 /// let (mut vertices, faces) = fixtures::grid(4, 4);
 /// vertices[12].z = 0.5;
 /// let normals = vec![DVec3::Z; faces.len()];
 /// let topology = Topology::new(faces, vertices.len())?;
-/// let updated = update_vertices(&topology, &vertices, &normals, 15)?;
+/// let updated = update_vertices(&topology, &vertices, &normals, 15, Boundary::Free)?;
 /// assert!(updated[12].z < 0.1 && updated[12].truncate() == vertices[12].truncate());
 /// # Ok::<(), gcnd_geom::GeomError>(())
 /// ```
@@ -42,11 +68,12 @@ pub fn update_vertices(
     vertices: &[DVec3],
     normals: &[DVec3],
     iterations: usize,
+    boundary: Boundary,
 ) -> Result<Vec<DVec3>> {
     check_len("vertices", topology.n_vertices(), vertices.len())?;
     check_vertices(vertices)?;
     let normals = unit_normals(normals, topology.n_faces())?;
-    let mut updater = VertexUpdater::new(topology, &normals, false);
+    let mut updater = VertexUpdater::new(topology, &normals, boundary);
     let mut current = vertices.to_vec();
     for _ in 0..iterations {
         updater.step(&mut current);
@@ -59,16 +86,14 @@ pub(crate) struct VertexUpdater<'a> {
     topology: &'a Topology,
     planes: Vec<Plane>,
     next: Vec<DVec3>,
-    /// Vertices that stay; empty for none.
-    is_fixed: Vec<bool>,
+    rim: Rim,
 }
 
 impl<'a> VertexUpdater<'a> {
-    /// Takes unit or zero normals (F); `fix_boundary` holds the vertices on a boundary.
-    pub fn new(topology: &'a Topology, normals: &[DVec3], fix_boundary: bool) -> Self {
-        let is_fixed = if fix_boundary { topology.boundary_vertices() } else { Vec::new() };
+    /// Takes unit or zero normals (F).
+    pub fn new(topology: &'a Topology, normals: &[DVec3], boundary: Boundary) -> Self {
         let planes = normals.iter().map(|&normal| Plane { normal, offset: 0.0 }).collect();
-        Self { topology, planes, next: Vec::new(), is_fixed }
+        Self { topology, planes, next: Vec::new(), rim: Rim::new(topology, boundary) }
     }
 
     /// Replaces the normals (F) by others.
@@ -81,8 +106,9 @@ impl<'a> VertexUpdater<'a> {
     /// One iteration.
     pub fn step(&mut self, current: &mut Vec<DVec3>) {
         place_planes(self.topology, current, &mut self.planes);
+        self.rim.place(current);
         self.next.resize(current.len(), DVec3::ZERO);
-        step(self.topology, current, &self.planes, &self.is_fixed, &mut self.next);
+        step(self.topology, current, &self.planes, &self.rim, &mut self.next);
         std::mem::swap(current, &mut self.next);
     }
 }
@@ -92,6 +118,66 @@ impl<'a> VertexUpdater<'a> {
 struct Plane {
     normal: DVec3,
     offset: f64,
+}
+
+/// The vertices on a boundary and how they move; empty where they move like the others.
+struct Rim {
+    boundary: Boundary,
+    is_rim: Vec<bool>,
+    edges: Vec<[u32; 2]>,
+    /// t of each vertex (V), for the positions that [`Rim::place`] was given.
+    tangents: Vec<DVec3>,
+}
+
+impl Rim {
+    fn new(topology: &Topology, boundary: Boundary) -> Self {
+        let mut rim = Self { boundary, is_rim: Vec::new(), edges: Vec::new(), tangents: Vec::new() };
+        match boundary {
+            Boundary::Free => {}
+            Boundary::Along => {
+                rim.edges = topology.boundary_edges().collect();
+                rim.tangents = vec![DVec3::ZERO; topology.n_vertices()];
+            }
+            Boundary::Fixed => rim.is_rim = topology.boundary_vertices(),
+        }
+        rim
+    }
+
+    fn place(&mut self, vertices: &[DVec3]) {
+        for &[start, end] in &self.edges {
+            self.tangents[start as usize] = DVec3::ZERO;
+            self.tangents[end as usize] = DVec3::ZERO;
+        }
+        for &[start, end] in &self.edges {
+            let way = vertices[end as usize] - vertices[start as usize];
+            self.tangents[start as usize] += way;
+            self.tangents[end as usize] += way;
+        }
+    }
+
+    /// What is left of a vertex's step, `faces` being those around it.
+    #[inline]
+    fn held(&self, vertex_id: usize, step: DVec3, faces: &[u32], planes: &[Plane]) -> DVec3 {
+        match self.boundary {
+            Boundary::Free => step,
+            Boundary::Fixed => {
+                if self.is_rim[vertex_id] {
+                    DVec3::ZERO
+                } else {
+                    step
+                }
+            }
+            Boundary::Along => {
+                let tangent = self.tangents[vertex_id];
+                if tangent == DVec3::ZERO {
+                    return step;
+                }
+                let normal: DVec3 = faces.iter().map(|&face_id| planes[face_id as usize].normal).sum();
+                let across = tangent.cross(normal).normalize_or_zero();
+                step - across * across.dot(step)
+            }
+        }
+    }
 }
 
 /// Vertices or faces of one unit of parallel work.
@@ -108,7 +194,7 @@ fn place_planes(topology: &Topology, vertices: &[DVec3], planes: &mut [Plane]) {
 ///
 /// The two edges of a face at v_i add up to (v_a − v_i) + (v_b − v_i) = 3 (c − v_i), so the sum over them,
 /// over 3, is n (n · c − n · v_i): the way to the face's plane, and one record is read per face.
-fn step(topology: &Topology, current: &[DVec3], planes: &[Plane], is_fixed: &[bool], next: &mut [DVec3]) {
+fn step(topology: &Topology, current: &[DVec3], planes: &[Plane], rim: &Rim, next: &mut [DVec3]) {
     let vertex_faces = topology.vertex_faces();
     next.par_iter_mut().zip(current).enumerate().with_min_len(CHUNK).for_each(|(vertex_id, (moved, &v))| {
         let row = vertex_faces.row(vertex_id);
@@ -117,8 +203,8 @@ fn step(topology: &Topology, current: &[DVec3], planes: &[Plane], is_fixed: &[bo
             let Plane { normal, offset } = planes[face_id as usize];
             sum += normal * (offset - normal.dot(v));
         }
-        let stays = row.is_empty() || is_fixed.get(vertex_id) == Some(&true);
-        *moved = if stays { v } else { v + sum / row.len() as f64 };
+        *moved =
+            if row.is_empty() { v } else { v + rim.held(vertex_id, sum / row.len() as f64, row, planes) };
     });
 }
 
@@ -134,7 +220,13 @@ mod tests {
         normals: &[DVec3],
         iterations: usize,
     ) -> Result<Vec<DVec3>> {
-        update_vertices(&Topology::new(faces, vertices.len())?, &vertices, normals, iterations)
+        update_vertices(
+            &Topology::new(faces, vertices.len())?,
+            &vertices,
+            normals,
+            iterations,
+            Boundary::Free,
+        )
     }
 
     /// Eq. 6 as it stands, edge by edge.
@@ -213,10 +305,73 @@ mod tests {
         fixtures::jitter(&mut vertices, 0.2, 1);
         let topology = Topology::new(faces, vertices.len()).expect("valid");
         let mut moved = vertices.clone();
-        VertexUpdater::new(&topology, &[DVec3::Z; 32], true).step(&mut moved);
+        VertexUpdater::new(&topology, &[DVec3::Z; 32], Boundary::Fixed).step(&mut moved);
         for (vertex_id, is_boundary) in topology.boundary_vertices().into_iter().enumerate() {
             assert_eq!(moved[vertex_id] == vertices[vertex_id], is_boundary, "vertex {vertex_id}");
         }
+    }
+
+    #[test]
+    fn along_keeps_the_rim_of_a_flat_sheet_in_place_and_levels_it() {
+        // Normals that lean this way and that push a free rim in and out.
+        let (mut vertices, faces) = fixtures::grid(8, 8);
+        fixtures::jitter(&mut vertices, 0.05, 5);
+        let mut normals = vec![DVec3::Z; faces.len()];
+        fixtures::jitter(&mut normals, 0.3, 6);
+        let topology = Topology::new(faces, vertices.len()).expect("valid");
+        let after = |boundary| update_vertices(&topology, &vertices, &normals, 1, boundary).expect("valid");
+        let (free, along, fixed) = (after(Boundary::Free), after(Boundary::Along), after(Boundary::Fixed));
+        let mut tangents = vec![DVec3::ZERO; vertices.len()];
+        for [start, end] in topology.boundary_edges().map(|edge| edge.map(|v| v as usize)) {
+            tangents[start] += vertices[end] - vertices[start];
+            tangents[end] += vertices[end] - vertices[start];
+        }
+        let mut taken: f64 = 0.0;
+        for (vertex_id, is_rim) in topology.boundary_vertices().into_iter().enumerate() {
+            if !is_rim {
+                assert_eq!((along[vertex_id], fixed[vertex_id]), (free[vertex_id], free[vertex_id]));
+                continue;
+            }
+            let around = topology.vertex_faces().row(vertex_id).iter();
+            let mean: DVec3 = around.map(|&face_id| normals[face_id as usize].normalize()).sum();
+            let across = tangents[vertex_id].cross(mean).normalize();
+            let [step, way] = [&free, &along].map(|moved| moved[vertex_id] - vertices[vertex_id]);
+            assert!(way.dot(across).abs() < 1e-15, "vertex {vertex_id} went {way}");
+            assert!((step - way).reject_from(across).length() < 1e-15, "nothing else is taken away");
+            taken = taken.max((step - way).length());
+            assert_eq!(fixed[vertex_id], vertices[vertex_id]);
+        }
+        assert!(taken > 1e-3, "the free rim leaves its outline: {taken}");
+    }
+
+    #[test]
+    fn a_crease_that_ends_at_the_rim_stays_sharp() {
+        // A roof open at both ends; the end of its ridge is off sideways, which only the crease's normals can mend.
+        let mut vertices: Vec<DVec3> = (0..7)
+            .flat_map(|y| {
+                [(-1.0, -1.0), (0.0, 0.0), (1.0, -1.0)].map(|(x, z)| DVec3::new(x, f64::from(y), z))
+            })
+            .collect();
+        let quads = (0..6u32).flat_map(|y| [0, 1].map(|x| 3 * y + x));
+        let faces: Vec<_> = quads.flat_map(|a| [[a, a + 1, a + 4], [a, a + 4, a + 3]]).collect();
+        let normals = FaceGeometry::compute(&vertices, &faces).normals;
+        vertices[1] += DVec3::new(0.2, 0.0, 0.1);
+        let topology = Topology::new(faces, vertices.len()).expect("valid");
+        let moved = update_vertices(&topology, &vertices, &normals, 200, Boundary::Along).expect("valid");
+        let ridge = moved[1] - moved[4];
+        assert!(ridge.x.abs() < 0.02 && ridge.z.abs() < 0.02, "{ridge}");
+        assert!(moved[1].y.abs() < 1e-3, "and the end of the roof where it was: {}", moved[1]);
+    }
+
+    #[test]
+    fn a_closed_mesh_has_no_boundary_to_hold() {
+        let (mut vertices, faces) = fixtures::icosphere(2);
+        let normals = FaceGeometry::compute(&vertices, &faces).normals;
+        fixtures::jitter(&mut vertices, 0.1, 3);
+        let topology = Topology::new(faces, vertices.len()).expect("valid");
+        let after = |boundary| update_vertices(&topology, &vertices, &normals, 9, boundary).expect("valid");
+        assert_eq!(after(Boundary::Along), after(Boundary::Free));
+        assert_eq!(after(Boundary::Fixed), after(Boundary::Free));
     }
 
     #[test]
@@ -227,7 +382,8 @@ mod tests {
         let error = updated((vertices.clone(), faces.clone()), &[DVec3::NAN; 4], 1).unwrap_err();
         assert!(matches!(error, GeomError::InvalidParameter { name: "normals", .. }), "{error}");
         let topology = Topology::new(faces.clone(), 4).expect("valid");
-        let error = update_vertices(&topology, &vertices[..3], &[DVec3::Z; 4], 1).unwrap_err();
+        let error =
+            update_vertices(&topology, &vertices[..3], &[DVec3::Z; 4], 1, Boundary::Free).unwrap_err();
         assert_eq!(error, GeomError::LengthMismatch { what: "vertices", expected: 4, got: 3 });
         let mut broken = vertices;
         broken[2].y = f64::INFINITY;

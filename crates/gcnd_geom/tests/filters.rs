@@ -4,7 +4,7 @@ use gcnd_geom::face_geometry::FaceGeometry;
 use gcnd_geom::fixtures::{self, MeshParts};
 use gcnd_geom::metrics::{angles, normal_error, vertex_error};
 use gcnd_geom::normals::{Neighborhood, RefineParams, refine_normals};
-use gcnd_geom::vertex_update::update_vertices;
+use gcnd_geom::vertex_update::{Boundary, update_vertices};
 use gcnd_geom::{DMat3, DVec3, Face, GeomError, Topology};
 use proptest::prelude::*;
 
@@ -72,7 +72,7 @@ fn refined(mesh: &MeshParts, normals: &[DVec3], params: &RefineParams) -> Vec<DV
 }
 
 fn updated(mesh: &MeshParts, normals: &[DVec3], iterations: usize) -> Vec<DVec3> {
-    update_vertices(&topology(mesh), &mesh.0, normals, iterations).expect("valid")
+    update_vertices(&topology(mesh), &mesh.0, normals, iterations, Boundary::Free).expect("valid")
 }
 
 fn largest_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
@@ -227,5 +227,5 @@ fn normals_of_another_mesh_are_refused() {
     let normals = vec![DVec3::Z; 11];
     let params = RefineParams::default();
     assert_eq!(refine_normals(&topology(&mesh), &mesh.0, &normals, &params), Err(expected.clone()));
-    assert_eq!(update_vertices(&topology(&mesh), &mesh.0, &normals, 1), Err(expected));
+    assert_eq!(update_vertices(&topology(&mesh), &mesh.0, &normals, 1, Boundary::Free), Err(expected));
 }

@@ -5,7 +5,8 @@ use crate::errors::{ConfigError, IntoPython};
 use crate::mesh::PyTopology;
 use gcnd_geom::normals::{AdaptiveParams, Neighborhood, RefineParams};
 use gcnd_geom::remesh::RemeshParams;
-use gcnd_geom::{face_geometry, metrics, normals, vertex_update};
+use gcnd_geom::vertex_update::{self, Boundary};
+use gcnd_geom::{face_geometry, metrics, normals};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1};
 use pyo3::prelude::*;
 
@@ -66,18 +67,30 @@ pub fn refine_consistent<'py>(
     arrays::triples(py, refined)
 }
 
+fn boundary_from(name: &str) -> PyResult<Boundary> {
+    match name {
+        "free" => Ok(Boundary::Free),
+        "along" => Ok(Boundary::Along),
+        "fixed" => Ok(Boundary::Fixed),
+        _ => Err(ConfigError::new_err(format!("boundary is {name}, allowed: free, along or fixed"))),
+    }
+}
+
 #[pyfunction]
+#[pyo3(signature = (topology, vertices, normals, iterations, boundary="free"))]
 pub fn update_vertices<'py>(
     py: Python<'py>,
     topology: &PyTopology,
     vertices: Points<'py>,
     normals: Points<'py>,
     iterations: usize,
+    boundary: &str,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let boundary = boundary_from(boundary)?;
     let (vertices, normals) = (arrays::points("vertices", &vertices)?, arrays::points("normals", &normals)?);
     let topology = &topology.inner;
     let updated = py
-        .detach(|| vertex_update::update_vertices(topology, vertices, normals, iterations))
+        .detach(|| vertex_update::update_vertices(topology, vertices, normals, iterations, boundary))
         .into_python()?;
     arrays::triples(py, updated)
 }

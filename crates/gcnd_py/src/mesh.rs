@@ -3,7 +3,8 @@
 use crate::arrays::{self, Faces, Points};
 use crate::errors::IntoPython;
 use gcnd_geom::face_geometry::FaceGeometry;
-use gcnd_geom::{Topology, mesh};
+use gcnd_geom::orientation::Orientation;
+use gcnd_geom::{Topology, mesh, orientation};
 use numpy::{IntoPyArray, PyArray1, PyArray2};
 use pyo3::prelude::*;
 use std::sync::Arc;
@@ -41,6 +42,15 @@ impl PyTopology {
         let rows = self.inner.vertex_faces();
         (rows.offsets().to_vec().into_pyarray(py), rows.values().to_vec().into_pyarray(py))
     }
+}
+
+type OrientationArrays<'py> = (Bound<'py, PyArray1<bool>>, usize, usize, usize);
+
+#[pyfunction]
+pub fn orient<'py>(py: Python<'py>, topology: &PyTopology) -> OrientationArrays<'py> {
+    let Orientation { is_turned, disagreeing_edges, edges_left, one_sided_components } =
+        py.detach(|| orientation::orientation(&topology.inner));
+    (is_turned.into_pyarray(py), disagreeing_edges, edges_left, one_sided_components)
 }
 
 #[pyfunction]

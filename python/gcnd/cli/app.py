@@ -10,6 +10,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from gcnd.cli import compare, denoise, evaluate, info, models, noise, train, train_report, view
+from gcnd.cli.caution import telling_warnings
 from gcnd.cli.interrupt import EXIT_INTERRUPTED, exit_now, noticing_ctrl_c, own_process
 from gcnd.errors import GcndError
 
@@ -40,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs the command line.
 
     Data goes to stdout, everything else to stderr. An error is told as `error: …`, a blank line and
-    `hint: …`, never as a traceback.
+    `hint: …`, never as a traceback; a warning as `warning: …`.
 
     Args:
         argv: The arguments without the program's name; by default those of the process.
@@ -51,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     try:
         try:
-            with noticing_ctrl_c():
+            with noticing_ctrl_c(), telling_warnings():
                 app(args=None if argv is None else list(argv), prog_name="gcnd")
         except SystemExit as done:
             sys.stdout.flush()

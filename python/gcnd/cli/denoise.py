@@ -29,6 +29,14 @@ class Device(str, Enum):
     CUDA = "cuda"
 
 
+class Boundary(str, Enum):
+    """How vertices on a boundary move."""
+
+    FREE = "free"
+    ALONG = "along"
+    FIXED = "fixed"
+
+
 @dataclass(frozen=True)
 class Request:
     """What the command line asked for.
@@ -39,6 +47,7 @@ class Request:
         controls: What `Controls` takes.
         confidence: Whether to write the confidence by face.
         report: Where to write the report, or None.
+        triangulate: Whether faces of more than three corners are split for the work.
     """
 
     settings: dict[str, Any]
@@ -46,6 +55,7 @@ class Request:
     controls: dict[str, Any]
     confidence: bool
     report: Path | None
+    triangulate: bool
 
     def method(self) -> Method:
         """Makes ready what runs; torch is imported for a preset only."""
@@ -100,6 +110,18 @@ def run(
             metavar="NAME=VALUE", help="A parameter of the filter; may be repeated.", show_default=False
         ),
     ] = None,
+    boundary: Annotated[
+        Boundary | None,
+        typer.Option(
+            help="Vertices on a boundary: free like all others, along the surface's normal only, or fixed; "
+            "by default along, and what a filter has.",
+            show_default=False,
+        ),
+    ] = None,
+    triangulate: Annotated[
+        bool,
+        typer.Option("--triangulate", help="Split faces of more than three corners for the work."),
+    ] = False,
     strength: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of the result: 0 keeps the input, 1 is all of it.")
     ] = 1.0,
@@ -142,16 +164,19 @@ def run(
     """Remove the noise of IN and write the result to OUT."""
     iterations = {"normal_iterations": normal_iterations, "vertex_iterations": vertex_iterations}
     settings: dict[str, Any]
+    options: dict[str, Any]
     if method is None:
         if param:
             raise ConfigError("--param is for filters", hint="name a filter with --method")
         settings, options = {"preset": preset, "device": device.value, "seed": seed}, dict(iterations)
+        if boundary is not None:
+            options["boundary"] = boundary.value
     else:
         if preset != "auto":
             raise ConfigError("--preset and --method exclude each other", hint="give one of the two")
         if confidence:
             raise ConfigError("--confidence is for presets: filters predict nothing")
-        options = _filter_options(method, param or [], iterations)
+        options = _filter_options(method, param or [], iterations, boundary)
         settings = {"method": method, "parameters": options}
     controls = {
         "strength": strength,
@@ -160,7 +185,7 @@ def run(
         "keep": keep,
         "preserve_volume": preserve_volume,
     }
-    request = Request(settings, options, controls, confidence, report)
+    request = Request(settings, options, controls, confidence, report, triangulate)
     if input_path.is_dir():
         from gcnd.cli.denoise_folder import run_folder
 
@@ -175,7 +200,7 @@ def run(
 
 def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: bool, as_json: bool) -> None:
     with nothing_to_lose():
-        from gcnd.many import check_confidence_path, write_denoised
+        from gcnd.many import check_confidence_path, check_polygons_path, write_denoised
         from gcnd.mesh_io import check_output_path, load
         from gcnd.report import check_report_path, write_report
 
@@ -186,7 +211,9 @@ def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: b
             check_report_path(request.report, input_mesh, output_mesh)
         start = time.perf_counter()
         # Before torch, which takes seconds to import: a wrong file should be told at once.
-        mesh = load(input_mesh, shape_only=input_mesh.suffix.lower() == output_mesh.suffix.lower())
+        is_same = input_mesh.suffix.lower() == output_mesh.suffix.lower()
+        mesh = load(input_mesh, shape_only=is_same, triangulate=request.triangulate)
+        check_polygons_path(mesh, input_mesh, output_mesh, request.confidence)
         method = request.method()
     with show_progress(quiet=quiet) as progress:
         done = method.run(mesh, progress=progress)
@@ -215,11 +242,17 @@ def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: b
         print(f"wrote {output_mesh}: {len(mesh.faces):,} faces in {seconds:.1f} s", file=sys.stderr)
 
 
-def _filter_options(method: str, texts: list[str], iterations: dict[str, int | None]) -> dict[str, Any]:
-    """The filter's parameters from `--param` and from the options that have the same name."""
+def _filter_options(
+    method: str, texts: list[str], iterations: dict[str, int | None], boundary: Boundary | None
+) -> dict[str, Any]:
+    """The filter's parameters from `--param` and from the options that say the same."""
     from gcnd.filters import parse_parameters
 
     values = {name: str(count) for name, count in iterations.items() if count is not None}
+    if boundary is Boundary.ALONG:
+        raise ConfigError("--boundary along is for presets", hint="filters know --boundary free and fixed")
+    if boundary is not None:
+        values["fix_boundary"] = "true" if boundary is Boundary.FIXED else "false"
     for text in texts:
         name, equals, value = text.partition("=")
         if not (name and equals):

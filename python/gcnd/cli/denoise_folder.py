@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from gcnd.cli.caution import ignoring_warnings
 from gcnd.cli.interrupt import nothing_to_lose
 from gcnd.cli.options import print_json
 from gcnd.cli.progress import show_progress
@@ -54,7 +55,8 @@ def run_folder(
         if request.report is not None:
             check_report_path(request.report)
         method = request.method()
-    with show_progress(quiet=quiet) as progress:
+    # The table tells them, with the names of the files.
+    with ignoring_warnings(), show_progress(quiet=quiet) as progress:
         outcomes = denoise_many(
             input_folder,
             output_folder,
@@ -63,6 +65,7 @@ def run_folder(
             confidence=request.confidence,
             reports=request.report is not None,
             ray=ray,
+            triangulate=request.triangulate,
             progress=progress,
         )
     if request.report is not None:
@@ -70,8 +73,8 @@ def run_folder(
     failed = sum(outcome.status == "failed" for outcome in outcomes)
     if as_json:
         print_json({"settings": request.settings, "files": [_row(outcome) for outcome in outcomes]})
-    elif failed or not quiet:
-        _print_table(outcomes if not quiet else [o for o in outcomes if o.status == "failed"])
+    elif failed or not quiet or any(outcome.warnings for outcome in outcomes):
+        _print_table(outcomes if not quiet else [o for o in outcomes if o.status == "failed" or o.warnings])
         counts = [
             (status, sum(o.status == status for o in outcomes)) for status in ("done", "skipped", "failed")
         ]
@@ -88,6 +91,7 @@ def _row(outcome: Outcome) -> dict[str, object]:
         "preset": outcome.preset,
         "output": None if outcome.output is None else str(outcome.output),
         "error": None if outcome.error is None else _told(outcome.error),
+        "warnings": list(outcome.warnings),
     }
 
 
@@ -103,3 +107,5 @@ def _print_table(outcomes: Sequence[Outcome]) -> None:
         why = f"  {outcome.preset}" if outcome.preset else ""
         why = why if outcome.error is None else f": {_told(outcome.error)}"
         print(f"{outcome.status:<8}{seconds:>9}  {outcome.name}{why}", file=sys.stderr)
+        for sentence in outcome.warnings:
+            print(f"warning: {outcome.name}: {sentence}", file=sys.stderr)

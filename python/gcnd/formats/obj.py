@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcnd.errors import MeshError
-from gcnd.formats.parsed import DAMAGED_HINT, ParsedMesh, polygon_error, rgba_from_values, split_seams
+from gcnd.formats.parsed import (
+    DAMAGED_HINT,
+    ParsedMesh,
+    polygon_error,
+    rgba_from_values,
+    split_seams,
+    triangles_of,
+)
 
 __all__ = ["read_obj"]
 
@@ -34,7 +41,7 @@ class _Lines:
     name: str | None = None
 
 
-def read_obj(data: bytes) -> ParsedMesh:
+def read_obj(data: bytes, *, triangulate: bool = False) -> ParsedMesh:
     """Reads an OBJ file.
 
     The first vertices are the file's `v` lines in order, used or not; a vertex whose corners have several
@@ -42,6 +49,7 @@ def read_obj(data: bytes) -> ParsedMesh:
 
     Args:
         data: The whole file.
+        triangulate: Whether faces of four corners and more are split; else they are refused.
 
     Returns:
         The mesh. `material` is set when the file uses exactly one; when it uses several,
@@ -59,15 +67,17 @@ def read_obj(data: bytes) -> ParsedMesh:
     parsed.material_libraries = lines.libraries
     if lines.name:
         parsed.metadata["name"] = lines.name
-    _take_materials(parsed, lines)
     if lines.faces:
-        faces, corner_uv = _parse_faces(lines)
+        ids, uv_ids, lengths = _parse_corners(lines, triangulate)
+        corners, parsed.polygons = triangles_of(vertices, ids, lengths)
+        faces, corner_uv = ids[corners], uv_ids[corners]
         parsed.faces = faces
         if lines.uv and (corner_uv >= 0).any():
             uv = _parse_uv(lines.uv)
             parsed.faces, source_vertex, vertex_uv = split_seams(faces, corner_uv, len(vertices))
             parsed.repeat_vertices(source_vertex)
             parsed.uv = np.where(vertex_uv[:, None] >= 0, uv[vertex_uv], 0.0)
+    _take_materials(parsed, lines)
     return parsed
 
 
@@ -79,7 +89,7 @@ def _take_materials(parsed: ParsedMesh, lines: _Lines) -> None:
         starts = [start for start, _ in lines.materials]
         place = {name: index for index, name in enumerate(names)}
         ids = np.array([-1, *(place[name] for _, name in lines.materials)], dtype=np.int32)
-        face_ids = np.arange(len(lines.faces))
+        face_ids = np.arange(len(lines.faces)) if parsed.polygons is None else parsed.polygons.owner
         parsed.face_attributes["material_id"] = ids[np.searchsorted(starts, face_ids, side="right")]
         parsed.metadata["materials"] = names
 
@@ -148,12 +158,16 @@ def _parse_uv(rows: Sequence[str]) -> NDArray[np.float64]:
     return np.array([[*row.split()[:2], "0"][:2] for row in rows], dtype=np.float64)
 
 
-def _parse_faces(lines: _Lines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Vertex ids (F, 3) and texture coordinate ids (F, 3), both from 0; −1 where there is none."""
+def _parse_corners(
+    lines: _Lines, triangulate: bool
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Of all corners, vertex ids (C,) and texture coordinate ids (C,), from 0, −1 for none; and corners a face (F,)."""
     corners = [line.split() for line in lines.faces]
     for face_id, face in enumerate(corners):
-        if len(face) != 3:
+        if len(face) != 3 and not (triangulate and len(face) > 3):
             raise polygon_error(face_id, len(face), f" (line {lines.face_lines[face_id]})")
+    lengths = np.array([len(face) for face in corners], dtype=np.int64)
+    ends = np.cumsum(lengths)
     words = [word for face in corners for word in face]
     try:
         if any("/" in line for line in lines.faces):
@@ -164,15 +178,16 @@ def _parse_faces(lines: _Lines) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
             vertex, uv = np.array(words, dtype=np.int64), np.zeros(len(words), dtype=np.int64)
     except (ValueError, OverflowError):
         bad = next(i for i, word in enumerate(words) if not _is_corner(word))
-        raise _face_error(lines, bad // 3, f"has a corner '{words[bad]}', which is no index") from None
-    vertex, uv = vertex.reshape(-1, 3), uv.reshape(-1, 3)
+        face_id = int(np.searchsorted(ends, bad, side="right"))
+        raise _face_error(lines, face_id, f"has a corner '{words[bad]}', which is no index") from None
     for face_id, n_vertices, n_uv in lines.relative:
         # A negative index counts back from the last line read so far; −1 is that line.
-        vertex[face_id] = np.where(vertex[face_id] < 0, vertex[face_id] + n_vertices + 1, vertex[face_id])
-        uv[face_id] = np.where(uv[face_id] < 0, uv[face_id] + n_uv + 1, uv[face_id])
-    _check_range(lines, vertex, 1, len(lines.vertices), "vertex")
-    _check_range(lines, uv, 0, len(lines.uv), "texture coordinate")
-    return vertex - 1, uv - 1
+        own = slice(ends[face_id] - lengths[face_id], ends[face_id])
+        vertex[own] = np.where(vertex[own] < 0, vertex[own] + n_vertices + 1, vertex[own])
+        uv[own] = np.where(uv[own] < 0, uv[own] + n_uv + 1, uv[own])
+    _check_range(lines, vertex, ends, 1, len(lines.vertices), "vertex")
+    _check_range(lines, uv, ends, 0, len(lines.uv), "texture coordinate")
+    return vertex - 1, uv - 1, lengths
 
 
 def _is_corner(word: str) -> bool:
@@ -188,12 +203,16 @@ def _is_index(word: str) -> bool:
     return True
 
 
-def _check_range(lines: _Lines, indices: NDArray[np.int64], low: int, high: int, what: str) -> None:
+def _check_range(
+    lines: _Lines, indices: NDArray[np.int64], ends: NDArray[np.int64], low: int, high: int, what: str
+) -> None:
     outside = (indices < low) | (indices > high)
     if outside.any():
-        face_id, corner = (int(i) for i in np.argwhere(outside)[0])
-        index = int(indices[face_id, corner])
-        raise _face_error(lines, face_id, f"refers to {what} {index} of {high} (counted from 1)")
+        corner = int(np.argmax(outside))
+        face_id = int(np.searchsorted(ends, corner, side="right"))
+        raise _face_error(
+            lines, face_id, f"refers to {what} {int(indices[corner])} of {high} (counted from 1)"
+        )
 
 
 def _face_error(lines: _Lines, face_id: int, what: str) -> MeshError:

@@ -30,7 +30,7 @@ def rewrite_obj(data: bytes, motion: Motion) -> bytes:
             case ["vn"]:
                 normal_places.append(place)
             case ["f"]:
-                corner_normals.append([_normal_id(word, len(normal_places)) for word in words[1:4]])
+                corner_normals += [_normal_id(word, len(normal_places)) for word in words[1:]]
     for vertex_id, place in enumerate(vertex_places):
         if (motion.before[vertex_id] != motion.after[vertex_id]).any():
             lines[place] = replaced_words(lines[place], 1, motion.after[vertex_id])
@@ -38,7 +38,7 @@ def rewrite_obj(data: bytes, motion: Motion) -> bytes:
         old = np.array(
             [lines[place].replace("\\", " ").split()[1:4] for place in normal_places], dtype=np.float64
         )
-        users = np.array(corner_normals, dtype=np.int64)
+        users = motion.by_triangle(np.array(corner_normals, dtype=np.int64))
         users[users >= len(old)] = -1
         new = motion.shared_normals(old, users)
         for place, before, after in zip(normal_places, old, new, strict=True):

@@ -10,18 +10,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcnd.errors import MeshError
-from gcnd.formats.parsed import DAMAGED_HINT, ParsedMesh, polygon_error, rgba_from_values, truncated_error
+from gcnd.formats.parsed import (
+    DAMAGED_HINT,
+    ParsedMesh,
+    check_ids,
+    polygon_error,
+    rgba_from_values,
+    triangles_of,
+    truncated_error,
+)
 
 __all__ = ["KEYWORD", "read_off", "write_off"]
 
 KEYWORD = re.compile(r"(ST)?(C)?(N)?OFF$")
 
 
-def read_off(data: bytes) -> ParsedMesh:
+def read_off(data: bytes, *, triangulate: bool = False) -> ParsedMesh:
     """Reads an OFF file (OFF, COFF, NOFF, STOFF and their combinations, as text).
 
     Args:
         data: The whole file.
+        triangulate: Whether faces of four corners and more are split; else they are refused.
 
     Returns:
         The mesh.
@@ -53,10 +62,20 @@ def read_off(data: bytes) -> ParsedMesh:
     # Normals (N) stand between the position and the colour (C).
     color_start = 6 if kind[3] else 3
     vertices, vertex_colors = _parse_vertices(vertex_rows, color_start, has_color=bool(kind[2]))
-    faces, face_colors = _parse_faces(face_rows)
+    ids, lengths, face_colors = _parse_faces(face_rows, triangulate)
     if len(face_rows) < n_faces:
         raise truncated_error("faces", n_faces, len(face_rows))
-    return ParsedMesh(vertices, faces, vertex_colors, None if vertex_colors is not None else face_colors)
+    check_ids(ids, lengths, n_vertices)
+    corners, polygons = triangles_of(vertices, ids, lengths)
+    if face_colors is not None and polygons is not None:
+        face_colors = face_colors[polygons.owner]
+    return ParsedMesh(
+        vertices,
+        ids[corners],
+        vertex_colors,
+        None if vertex_colors is not None else face_colors,
+        polygons=polygons,
+    )
 
 
 def _parse_vertices(
@@ -70,19 +89,29 @@ def _parse_vertices(
     return vertices, colors
 
 
-def _parse_faces(rows: Sequence[Sequence[str]]) -> tuple[NDArray[np.int64], NDArray[np.uint8] | None]:
+def _parse_faces(
+    rows: Sequence[Sequence[str]], triangulate: bool
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8] | None]:
+    """Vertex ids of all corners (C,), corners a face (F,), and colours of the faces."""
+    lengths = []
     for face_id, row in enumerate(rows):
-        if row[0] != "3":
-            if not row[0].isdecimal():
-                raise MeshError(f"face {face_id} begins with '{row[0][:40]}', not with 3", DAMAGED_HINT)
-            raise polygon_error(face_id, int(row[0]))
-        if len(row) < 4:
-            raise polygon_error(face_id, len(row) - 1)
+        if not row[0].isdecimal():
+            raise MeshError(f"face {face_id} begins with '{row[0][:40]}', not with 3", DAMAGED_HINT)
+        length = int(row[0])
+        if length != 3 and not (triangulate and length > 3):
+            raise polygon_error(face_id, length)
+        if len(row) < 1 + length:
+            if length == 3:
+                raise polygon_error(face_id, len(row) - 1)
+            raise MeshError(f"face {face_id} announces {length} corners and has {len(row) - 1}", DAMAGED_HINT)
+        lengths.append(length)
     try:
-        faces = np.array([row[1:4] for row in rows], dtype=np.int64).reshape(-1, 3)
+        words = [word for row, length in zip(rows, lengths, strict=True) for word in row[1 : 1 + length]]
+        ids = np.array(words, dtype=np.int64)
     except (ValueError, OverflowError):
         raise MeshError("a face has a corner that is no index", DAMAGED_HINT) from None
-    return faces, _parse_colors([row[4:8] for row in rows])
+    colors = _parse_colors([row[1 + length : 5 + length] for row, length in zip(rows, lengths, strict=True)])
+    return ids, np.array(lengths, dtype=np.int64), colors
 
 
 def _parse_colors(rows: Sequence[Sequence[str]]) -> NDArray[np.uint8] | None:

@@ -9,11 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcnd.errors import MeshError
+from gcnd.formats.polygons import Polygons, split_polygons
 
-__all__ = ["ParsedMesh", "polygon_error", "rgba_from_values", "split_seams", "truncated_error"]
+__all__ = [
+    "ParsedMesh",
+    "check_ids",
+    "polygon_error",
+    "rgba_from_values",
+    "split_seams",
+    "triangles_of",
+    "truncated_error",
+]
 
 TRIANGULATE_HINT = (
-    "triangulate the mesh first (Blender: Ctrl+T in edit mode; MeshLab: Turn into a Pure-Triangular Mesh)"
+    "gcnd denoise --triangulate (triangulate=True in Python) splits such faces for the work and writes them whole; "
+    "or triangulate the mesh first (Blender: Ctrl+T in edit mode; MeshLab: Turn into a Pure-Triangular Mesh)"
 )
 DAMAGED_HINT = "the file is cut off or damaged; write or download it again"
 
@@ -35,6 +45,7 @@ class ParsedMesh:
         material_libraries: Names of material files, as the file writes them.
         material: Name of the one material in use, or None.
         source_vertex: int64 (V,), the file's vertex of each vertex here, where seams repeat some; or None.
+        polygons: Which faces of the file the triangles stand for, where some have more corners; or None.
     """
 
     vertices: NDArray[np.float64]
@@ -49,6 +60,7 @@ class ParsedMesh:
     material_libraries: list[str] = field(default_factory=list)
     material: str | None = None
     source_vertex: NDArray[np.int64] | None = None
+    polygons: Polygons | None = None
 
     def repeat_vertices(self, source_vertex: NDArray[np.int64]) -> None:
         """Replaces the vertices, and every value per vertex, by the rows `source_vertex` names.
@@ -61,6 +73,37 @@ class ParsedMesh:
         if self.vertex_colors is not None:
             self.vertex_colors = self.vertex_colors[source_vertex]
         self.vertex_attributes = {k: v[source_vertex] for k, v in self.vertex_attributes.items()}
+
+
+def check_ids(ids: NDArray[np.int64], lengths: NDArray[np.int64], n_vertices: int) -> None:
+    """Checks that the corners of faces (C,), with so many a face (F,), are vertices, in the words of `checked`.
+
+    Raises:
+        MeshError: The first one that is none, with its face.
+    """
+    outside = (ids < 0) | (ids >= n_vertices)
+    if outside.any():
+        corner = int(np.argmax(outside))
+        face_id = int(np.searchsorted(np.cumsum(lengths), corner, side="right"))
+        raise MeshError(
+            f"face {face_id} refers to vertex {int(ids[corner])}, and the mesh has "
+            f"{n_vertices} vertices (counted from 0)",
+            DAMAGED_HINT,
+        )
+
+
+def triangles_of(
+    vertices: NDArray[np.float64], ids: NDArray[np.int64], lengths: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], Polygons | None]:
+    """Finds the triangles of faces given corner by corner; arguments as of `split_polygons`.
+
+    Returns:
+        Of each triangle's corners, the place in ``ids`` (T, 3); and the polygons, None where all faces are triangles.
+    """
+    if (lengths == 3).all():
+        return np.arange(len(ids)).reshape(-1, 3), None
+    polygons = split_polygons(vertices, ids, lengths)
+    return polygons.corners, polygons
 
 
 def polygon_error(face_id: int, n_corners: int, where: str = "") -> MeshError:

@@ -23,8 +23,16 @@ from gcnd.formats.parsed import (
     truncated_error,
 )
 from gcnd.formats.ply_header import PlyElement, PlyHeader, PlyProperty, parse_header
+from gcnd.formats.ply_ragged import layout_text, read_ragged, take_polygons
 
-__all__ = ["first_lengths_binary", "first_lengths_text", "read_ply", "record_fields", "write_ply"]
+__all__ = [
+    "first_lengths_binary",
+    "first_lengths_text",
+    "has_face_indices",
+    "read_ply",
+    "record_fields",
+    "write_ply",
+]
 
 _INDEX_NAMES = ("vertex_indices", "vertex_index")
 _UV_NAMES = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
@@ -33,7 +41,7 @@ _RGB, _NORMAL = ("red", "green", "blue"), ("nx", "ny", "nz")
 Columns = dict[str, NDArray[Any]]
 
 
-def read_ply(data: bytes) -> ParsedMesh:
+def read_ply(data: bytes, *, triangulate: bool = False) -> ParsedMesh:
     """Reads a PLY file.
 
     A vertex whose faces give it several texture coordinates is repeated at the end of the vertices (see
@@ -41,6 +49,7 @@ def read_ply(data: bytes) -> ParsedMesh:
 
     Args:
         data: The whole file.
+        triangulate: Whether faces of four corners and more are split; else they are refused.
 
     Returns:
         The mesh. `metadata["float64"]` is true when its header declares coordinates of 64 bits.
@@ -49,18 +58,22 @@ def read_ply(data: bytes) -> ParsedMesh:
         MeshError: If the file is no PLY file, is cut off, or has a face that is not a triangle.
     """
     header = parse_header(data)
-    columns = _read_text(data, header) if header.byte_order is None else _read_binary(data, header)
+    read = _read_text if header.byte_order is None else _read_binary
+    columns = read(data, header, triangulate)
     vertex, face = columns.get("vertex", {}), columns.get("face", {})
     if not all(axis in vertex for axis in "xyz"):
         raise MeshError("it has no vertices with x, y and z", "it may hold something other than a mesh")
     index_name = next((name for name in _INDEX_NAMES if name in face), None)
-    has_faces = index_name is not None and face[index_name].ndim == 2
-    indices = face.pop(index_name) if index_name is not None and has_faces else np.zeros((0, 3), np.int64)
     parsed = ParsedMesh(
         vertices=np.column_stack([vertex.pop(axis) for axis in "xyz"]).astype(np.float64),
-        faces=indices.astype(np.int64),
+        faces=np.zeros((0, 3), np.int64),
         texture=header.texture,
     )
+    lengths = face.pop(f"{index_name} length", None)
+    if index_name is not None and lengths is not None:
+        take_polygons(parsed, face.pop(index_name).astype(np.int64), lengths, face)
+    elif index_name is not None and face[index_name].ndim == 2:
+        parsed.faces = face.pop(index_name).astype(np.int64)
     is_double = any(p.name == "x" and p.dtype == "f8" for e in header.elements for p in e.properties)
     if is_double:
         parsed.metadata["float64"] = True
@@ -101,11 +114,15 @@ def _pop_colors(columns: Columns) -> NDArray[np.uint8] | None:
     return rgba_from_values(np.column_stack([columns.pop(name) for name in names]))
 
 
-def _read_binary(data: bytes, header: PlyHeader) -> dict[str, Columns]:
+def _read_binary(data: bytes, header: PlyHeader, triangulate: bool) -> dict[str, Columns]:
     """Reads every element of a binary file into columns, (n,) for a number and (n, k) for a list."""
     columns: dict[str, Columns] = {}
     position = header.data_start
+    order = header.byte_order or "<"
     for element in header.elements:
+        if triangulate and has_face_indices(element):
+            columns[element.name], position = read_ragged(data, position, element, order)
+            continue
         lengths = first_lengths_binary(data, position, element, header.byte_order or "<")
         record = np.dtype(record_fields(element, lengths, header.byte_order or "<"))
         n_whole = min(element.count, max(0, len(data) - position) // max(record.itemsize, 1))
@@ -124,7 +141,7 @@ def _read_binary(data: bytes, header: PlyHeader) -> dict[str, Columns]:
     return columns
 
 
-def _read_text(data: bytes, header: PlyHeader) -> dict[str, Columns]:
+def _read_text(data: bytes, header: PlyHeader, triangulate: bool) -> dict[str, Columns]:
     """Reads every element of a text file into columns, (n,) for a number and (n, k) for a list."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
@@ -135,6 +152,16 @@ def _read_text(data: bytes, header: PlyHeader) -> dict[str, Columns]:
     columns: dict[str, Columns] = {}
     position = 0
     for element in header.elements:
+        if triangulate and has_face_indices(element):
+            layout = layout_text(numbers, position, element)
+            columns[element.name] = layout.with_lengths(
+                {
+                    p.name: _as_declared(numbers[layout.all_places(p.name, 1)], p.dtype, element, p)
+                    for p in element.properties
+                }
+            )
+            position = layout.end
+            continue
         lengths = first_lengths_text(numbers[position:], element)
         width = sum(1 + lengths[p.name] if p.count_dtype else 1 for p in element.properties)
         n_whole = min(element.count, (len(numbers) - position) // max(width, 1))
@@ -191,6 +218,11 @@ def _text_dtype(prop: PlyProperty) -> str:
 
 def _is_face_indices(element: PlyElement, prop: PlyProperty) -> bool:
     return element.name == "face" and prop.name in _INDEX_NAMES
+
+
+def has_face_indices(element: PlyElement) -> bool:
+    """Returns whether an element holds the corners of faces."""
+    return any(p.count_dtype is not None and _is_face_indices(element, p) for p in element.properties)
 
 
 def first_lengths_binary(data: bytes, position: int, element: PlyElement, order: str) -> dict[str, int]:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gcnd.formats.ply import first_lengths_binary, first_lengths_text, record_fields
+from gcnd.formats.ply import first_lengths_binary, first_lengths_text, has_face_indices, record_fields
 from gcnd.formats.ply_header import PlyElement, parse_header
+from gcnd.formats.ply_ragged import layout_binary, layout_text
 from gcnd.meshes.normals import Motion
 
 __all__ = ["rewrite_ply"]
@@ -38,6 +39,9 @@ def rewrite_ply(data: bytes, motion: Motion) -> bytes | None:
     changed = bytearray(data)
     start = header.data_start
     for element in header.elements:
+        if motion.polygons is not None and has_face_indices(element):
+            start = _rewrite_polygons(changed, start, element, header.byte_order, motion)
+            continue
         lengths = first_lengths_binary(data, start, element, header.byte_order)
         record = np.dtype(record_fields(element, lengths, header.byte_order))
         rows = np.ndarray((element.count,), dtype=record, buffer=changed, offset=start)
@@ -46,6 +50,23 @@ def rewrite_ply(data: bytes, motion: Motion) -> bytes | None:
             rows[name][is_new] = column[is_new]
         start += rows.nbytes
     return bytes(changed)
+
+
+def _rewrite_polygons(changed: bytearray, start: int, element: PlyElement, order: str, motion: Motion) -> int:
+    """Puts new normals into faces of any number of corners; returns where they end."""
+    layout = layout_binary(bytes(changed), start, element, order)
+    dtypes = {p.name: np.dtype(order + p.dtype) for p in element.properties if p.count_dtype is None}
+    old = {
+        name: np.array([np.frombuffer(changed, dtype, 1, place)[0] for place in layout.places[name].tolist()])
+        for name, dtype in dtypes.items()
+        if name in _NORMAL
+    }
+    for name, (is_new, values) in _new_columns(element, old, motion).items():
+        for row in np.flatnonzero(is_new).tolist():
+            # An array: a number alone would forget its byte order.
+            place, number = int(layout.places[name][row]), np.array([values[row]], dtype=dtypes[name])
+            changed[place : place + number.itemsize] = number.tobytes()
+    return layout.end
 
 
 def _new_columns(
@@ -72,6 +93,15 @@ def _rewrite_text(data: bytes, elements: list[PlyElement], start: int, motion: M
     changes: dict[int, float] = {}
     first = 0
     for element in elements:
+        if motion.polygons is not None and has_face_indices(element):
+            layout = layout_text(numbers, first, element)
+            names = [p.name for p in element.properties if p.count_dtype is None and p.name in _NORMAL]
+            own = {name: numbers[layout.places[name]] for name in names}
+            for name, (is_new, values) in _new_columns(element, own, motion).items():
+                for row in np.flatnonzero(is_new).tolist():
+                    changes[int(layout.places[name][row])] = float(values[row])
+            first = layout.end
+            continue
         lengths = first_lengths_text(numbers[first:], element)
         width = sum(1 + lengths.get(p.name, 0) for p in element.properties)
         rows = numbers[first : first + element.count * width].reshape(element.count, width)

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gcnd.formats.polygons import Polygons
+
 __all__ = ["Motion", "renewed_columns"]
 
 Points = NDArray[np.float64]
@@ -25,6 +27,7 @@ class Motion:
         before: Positions (V, 3).
         after: Positions (V, 3).
         faces: Vertex ids (F, 3), anticlockwise seen from where normals point.
+        polygons: Which faces the triangles stand for, where some have more corners; F is then that of the triangles.
 
     Example:
         >>> before = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
@@ -33,7 +36,14 @@ class Motion:
         [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
     """
 
-    def __init__(self, before: NDArray[Any], after: NDArray[Any], faces: NDArray[Any]) -> None:
+    def __init__(
+        self,
+        before: NDArray[Any],
+        after: NDArray[Any],
+        faces: NDArray[Any],
+        polygons: Polygons | None = None,
+    ) -> None:
+        self.polygons = polygons
         self.before = np.asarray(before, dtype=np.float64)
         self.faces = np.asarray(faces, dtype=np.int64)
         self.after = np.asarray(after, dtype=np.float64)
@@ -42,8 +52,13 @@ class Motion:
         self.face_sums: Points = np.cross(b - a, c - a)
 
     def face_normals(self, old: NDArray[Any]) -> NDArray[Any]:
-        """Returns the normals of the faces (F, 3) in the type of the old ones."""
-        return self._renewed(old, np.arange(len(self.faces))[:, None], np.arange(len(self.faces)))
+        """Returns the normals of the faces, or of the polygons if there are any, (N, 3) in the type of the old ones."""
+        owner = np.arange(len(self.faces)) if self.polygons is None else self.polygons.owner
+        return self._renewed(old, owner[:, None], np.arange(len(old)))
+
+    def by_triangle(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Returns what each triangle's corners have (F, 3) of values by corner of the faces (C,)."""
+        return values.reshape(-1, 3) if self.polygons is None else values[self.polygons.corners]
 
     def vertex_normals(self, old: NDArray[Any]) -> NDArray[Any]:
         """Returns the normals of the vertices (V, 3) in the type of the old ones.

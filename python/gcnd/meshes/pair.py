@@ -8,23 +8,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcnd.errors import MeshError
-from gcnd.formats.parsed import polygon_error
+from gcnd.formats.parsed import check_ids, polygon_error, triangles_of
 from gcnd.meshes.arrays import TakenApart
 
 __all__ = ["take_apart"]
 
 
-def take_apart(mesh: Any) -> TakenApart:
+def take_apart(mesh: Any, *, triangulate: bool = False) -> TakenApart:
     """Takes a pair apart; each member comes back in its own library, dtype and device.
 
-    Vertices given as integers come back as float64.
+    Vertices given as integers come back as float64. With ``triangulate`` faces may have more corners than three: rows
+    of an array, or lists of different lengths, which come back as lists.
     """
     vertices, faces = mesh
+    points = _as_numpy(vertices, "vertices")
+    triangles = _split(points, faces) if triangulate else None
 
     def rebuild(moved: NDArray[np.float64]) -> tuple[Any, Any]:
-        return _vertices_like(vertices, moved), faces.clone() if _is_torch(faces) else np.array(faces)
+        if _is_torch(faces):
+            return _vertices_like(vertices, moved), faces.clone()
+        is_ragged = triangles is not None and len({len(row) for row in faces}) > 1
+        return _vertices_like(vertices, moved), [list(row) for row in faces] if is_ragged else np.array(faces)
 
-    return TakenApart(_as_numpy(vertices, "vertices"), _as_numpy(faces, "faces"), rebuild)
+    return TakenApart(points, _as_numpy(faces, "faces") if triangles is None else triangles, rebuild)
+
+
+def _split(points: NDArray[Any], faces: Any) -> NDArray[np.int64] | None:
+    """The triangles (T, 3) of faces of which some have more corners; None where none has, or they are no faces."""
+    lengths = [len(row) if hasattr(row, "__len__") else 0 for row in faces]
+    if points.ndim != 2 or points.shape[1] != 3 or min(lengths, default=0) < 3 or max(lengths) == 3:
+        return None
+    rows = [_as_numpy(row, "faces") for row in faces]
+    ids = np.concatenate(rows)
+    if ids.ndim != 1 or ids.dtype.kind not in "iu":
+        return None
+    counts = np.array(lengths, dtype=np.int64)
+    check_ids(ids.astype(np.int64), counts, len(points))
+    corners, _ = triangles_of(points.astype(np.float64), ids.astype(np.int64), counts)
+    return ids.astype(np.int64)[corners]
 
 
 def _as_numpy(values: Any, what: str) -> NDArray[Any]:

@@ -20,11 +20,12 @@ _ADAPTERS = {
 """By library, the module whose ``take_apart`` takes its objects. A new library is a new file and a line here."""
 
 
-def take_apart(mesh: Any) -> TakenApart:
+def take_apart(mesh: Any, *, triangulate: bool = False) -> TakenApart:
     """Takes a mesh object or a pair of arrays apart, by the adapter of its library.
 
     Args:
         mesh: An object of a library that has an adapter, of a class derived from one, or a pair (vertices, faces).
+        triangulate: Whether the faces of a pair may have more corners than three; they are split.
 
     Returns:
         Its arrays, and how to put it together again.
@@ -35,7 +36,7 @@ def take_apart(mesh: Any) -> TakenApart:
     if isinstance(mesh, tuple | list) and len(mesh) == 2:
         from gcnd.meshes.pair import take_apart as take_pair
 
-        return take_pair(mesh)
+        return take_pair(mesh, triangulate=triangulate)
     for kind in type(mesh).__mro__:
         adapter = _ADAPTERS.get(kind.__module__.partition(".")[0])
         if adapter is not None:

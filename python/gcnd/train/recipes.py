@@ -129,6 +129,7 @@ def _scan(*steps: int) -> Recipe:
         description="wide patches, trained on simulated depth-camera frames, fused frames and scanned prints",
         stages=stages,
         pool_size=160,
+        refinement=replace(REFINE_WHERE_CONSISTENT, iterations=4, sigma_r=0.2),
         data="scans",
         n_scans=480,
         vertex_iterations=SCAN_VERTEX_ITERATIONS,
@@ -181,7 +182,7 @@ RECIPES = {
     "default": _default(38_000, 44_500),
     "fast": _fast(13_500, 11_500),
     "paper": _paper(450_000, 300_000),
-    "scan": _scan(9_000, 6_000),
+    "scan": _scan(8_000, 8_000),
     "paper-scan": _paper_scan(450_000, 300_000),
 }
 """By name. The paper's own numbers of steps are 24 and 16 epochs of 2.4 M patches in batches of 128."""

@@ -226,7 +226,8 @@ def widened(
 ) -> dict[str, torch.Tensor]:
     """Fits weights to a network of the same layout that may see more: the scale space, the roughness of the mesh.
 
-    The weights of the new channels, which are the last ones, are zero, so that both networks answer the same.
+    The weights of the new channels, which are the last ones, are zero, so that both networks answer the same. Patches may
+    be of another size.
 
     Args:
         state: Weights of a network.
@@ -248,7 +249,13 @@ def widened(
     """
     lack = wanted.network.in_channels - given.network.in_channels
     fitted = replace(given.network, in_channels=wanted.network.in_channels)
-    patch = replace(given.patch, scale_space=wanted.patch.scale_space, roughness=wanted.patch.roughness)
+    patch = replace(
+        given.patch,
+        scale_space=wanted.patch.scale_space,
+        roughness=wanted.patch.roughness,
+        patch_scale=wanted.patch.patch_scale,
+        n_nodes=wanted.patch.n_nodes,
+    )
     # Between the channels that there are, none can be added.
     in_between = given.patch.roughness and patch.scale_space != given.patch.scale_space
     unfit = lack < 0 or in_between or (lack and not fitted.static_channels)

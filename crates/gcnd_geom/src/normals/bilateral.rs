@@ -6,7 +6,7 @@ use crate::normals::kernel::{Filter, OwnNormal, STORED_BYTES_PER_FACE};
 use crate::normals::neighborhood::Neighborhood;
 use crate::normals::refine::RefineParams;
 use crate::topology::Topology;
-use crate::vertex_update::VertexUpdater;
+use crate::vertex_update::{Boundary, VertexUpdater};
 use crate::watch::{Run, Watch};
 use glam::DVec3;
 
@@ -121,7 +121,7 @@ pub(crate) fn move_to_normals(
     vertex_iterations: usize,
     fix_boundary: bool,
 ) -> Result<Vec<DVec3>> {
-    let mut updater = VertexUpdater::new(topology, normals, fix_boundary);
+    let mut updater = VertexUpdater::new(topology, normals, Boundary::held_if(fix_boundary));
     for _ in 0..vertex_iterations {
         updater.step(&mut positions);
         run.tick_positions(&positions)?;

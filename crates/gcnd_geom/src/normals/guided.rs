@@ -6,7 +6,7 @@ use crate::normals::guidance::Guidance;
 use crate::normals::kernel::{CHUNK, unit_or_zero};
 use crate::normals::neighborhood::{NeighborLists, NeighborScratch, Neighborhood, Neighbors};
 use crate::topology::Topology;
-use crate::vertex_update::VertexUpdater;
+use crate::vertex_update::{Boundary, VertexUpdater};
 use crate::watch::{Run, Watch};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -102,7 +102,7 @@ pub fn guided_normal(
     let radius = neighborhood.radius(start.mean_centroid_distance(topology)?);
     let lists = NeighborLists::new(Neighbors { topology, neighborhood, centroids: &start.centroids, radius });
     let mut guidance = Guidance::new(topology);
-    let mut updater = VertexUpdater::new(topology, &start.normals, params.fix_boundary);
+    let mut updater = VertexUpdater::new(topology, &start.normals, Boundary::held_if(params.fix_boundary));
     let mut filtered = vec![DVec3::ZERO; topology.n_faces()];
     for _ in 0..params.normal_iterations {
         let geometry = FaceGeometry::compute(&positions, topology.faces());
