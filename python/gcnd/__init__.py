@@ -12,7 +12,7 @@ from importlib.metadata import version as _version
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from gcnd.errors import Cancelled, ConfigError, GcndError, MeshError, WeightsError
+from gcnd.errors import Cancelled, ConfigError, GcndError, MeshError, MeshWarning, WeightsError
 
 if TYPE_CHECKING:
     from gcnd.controls import Controls
@@ -31,6 +31,7 @@ __all__ = [
     "Denoiser",
     "GcndError",
     "MeshError",
+    "MeshWarning",
     "WeightsError",
     "__version__",
     "denoise",

@@ -29,9 +29,9 @@ def as_surface(mesh: MeshArrays) -> tuple[MeshArrays, tuple[str, ...]]:
         >>> corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [2, 1, 0]]
         >>> mesh, told = as_surface(to_arrays((corners, [[0, 1, 2], [1, 2, 3], [1, 4, 3]]))[0])
         >>> mesh.faces.tolist()
-        [[0, 2, 1], [1, 2, 3], [1, 3, 4]]
+        [[0, 1, 2], [1, 3, 2], [1, 4, 3]]
         >>> print(*told)  # doctest: +ELLIPSIS
-        2 of 3 faces are turned against the rest of their component (2 edges disagree): ...
+        1 of 3 faces are turned against the rest of their component (2 edges disagree): ...
     """
     topology = _geom.Topology(mesh.faces, len(mesh.vertices))
     offsets, _ = topology.edge_neighbors()
