@@ -170,9 +170,15 @@ def test_a_run_starts_from_given_weights_stage_by_stage(straight: Path, tmp_path
 
 
 @pytest.mark.parametrize(
-    "channels", [{"scale_space": True}, {"roughness": True}, {"scale_space": True, "roughness": True}]
+    "channels",
+    [
+        {"scale_space": True},
+        {"roughness": True},
+        {"scale_space": True, "roughness": True},
+        {"scale_space": True, "n_nodes": 48, "patch_scale": 5.5},
+    ],
 )
-def test_weights_widened_for_new_channels_answer_the_same(channels: dict[str, bool]) -> None:
+def test_weights_widened_for_new_channels_answer_the_same(channels: dict[str, Any]) -> None:
     patch = replace(STAGE.patch, **channels)
     wider = replace(STAGE, network=replace(STAGE.network, in_channels=patch.n_channels), patch=patch)
     torch.manual_seed(5)
@@ -198,7 +204,7 @@ def test_weights_widened_for_new_channels_answer_the_same(channels: dict[str, bo
             STAGE,
         ),
         (STAGE, replace(STAGE, network=replace(STAGE.network, knn_k=5))),
-        (STAGE, replace(STAGE, patch=replace(STAGE.patch, n_nodes=48))),
+        (STAGE, replace(STAGE, patch=replace(STAGE.patch, sigma_vote=0.5))),
         (STAGE, replace(STAGE, patch=replace(STAGE.patch, vertex_offsets=False, scale_space=True))),
         (
             replace(
