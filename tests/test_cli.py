@@ -231,7 +231,7 @@ def test_train_takes_the_data_of_its_recipe(
 
     def stop(name: str) -> Any:
         def called(*arguments: Any) -> None:
-            raise GcndError(f"{name} {[str(a) for a in arguments[1:]]}")
+            raise GcndError(f"{name} {[str(a) for a in arguments[1:4]]}")
 
         return called
 

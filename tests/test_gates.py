@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 
 from gcnd import _geom, denoise, normal_error
 from gcnd.data.noise import add_noise
+from gcnd.scans import simulate
 
 # Largest E_a in degrees that the shipped default may leave on each gate mesh: what was measured, and 20 %.
 MAX_E_A = {"cube": 0.55, "torus": 1.97, "dome": 1.3}
 
 MAX_SHARE = 0.5
 """Largest E_a after denoising over that before it."""
+
+MAX_SCAN_SHARE = 0.15
+"""The same for the weights for scans on a frame."""
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.uint32]]
 
@@ -60,3 +64,17 @@ def test_the_shipped_weights_denoise(name: str) -> None:
     assert before > 10
     assert after < MAX_SHARE * before
     assert after < MAX_E_A[name]
+
+
+def test_the_weights_for_scans_denoise_a_frame() -> None:
+    body, faces = dome_mesh()
+    pair = simulate("kinect2", body, faces, seed=3, size=0.35)
+    before = normal_error(pair.noisy_vertices, pair.clean_vertices, pair.faces)
+    after, other = (
+        normal_error(denoise((pair.noisy_vertices, pair.faces), preset=p)[0], pair.clean_vertices, pair.faces)
+        for p in ("scan", "default")
+    )
+    print(f"{len(pair.faces)} faces, E_a {before:.3f}° before, {after:.3f}° after, {other:.3f}° by default")
+    assert before > 10
+    assert after < MAX_SCAN_SHARE * before
+    assert after < 0.7 * other

@@ -20,6 +20,7 @@ def test_tetrahedron() -> None:
         "faces": 4,
         "boundary_edges": 0,
         "non_manifold_edges": 0,
+        "misoriented_edges": 0,
         "components": 1,
         "isolated_vertices": 0,
         "zero_area_faces": 0,
@@ -40,6 +41,12 @@ def test_tetrahedron() -> None:
             [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]],
             [[0, 1, 2], [0, 2, 3]],
             {"boundary_edges": 4, "components": 1, "watertight": False},
+        ),
+        # The same, one of them turned over.
+        (
+            [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]],
+            [[0, 1, 2], [0, 3, 2]],
+            {"boundary_edges": 4, "misoriented_edges": 1, "components": 1},
         ),
         # Three faces on one edge.
         (

@@ -20,6 +20,7 @@ class MeshInfo(TypedDict):
     faces: int
     boundary_edges: int
     non_manifold_edges: int
+    misoriented_edges: int
     components: int
     isolated_vertices: int
     zero_area_faces: int
@@ -47,6 +48,7 @@ def mesh_info(vertices: ArrayLike, faces: ArrayLike) -> MeshInfo:
 
         - `vertices`, `faces`: V and F.
         - `boundary_edges`: edges of one face. `non_manifold_edges`: edges of three or more.
+        - `misoriented_edges`: edges of two faces that disagree on which side is out, as both run along it the same way.
         - `components`: sets of faces that hang together by shared vertices.
         - `isolated_vertices`: vertices of no face.
         - `zero_area_faces`: faces whose corners lie on a line or a point.
@@ -70,7 +72,7 @@ def mesh_info(vertices: ArrayLike, faces: ArrayLike) -> MeshInfo:
 
     triangles = np.sort(welded[corners], axis=1)
     is_collapsed = (triangles[:, 0] == triangles[:, 1]) | (triangles[:, 1] == triangles[:, 2])
-    edges, faces_per_edge = _edges(triangles[~is_collapsed])
+    edges, faces_per_edge, directions = _edges(welded[corners][~is_collapsed])
     position = np.empty((n_welded, 3))
     position[welded] = points
     lengths = np.linalg.norm(position[edges[:, 0]] - position[edges[:, 1]], axis=1)
@@ -81,6 +83,7 @@ def mesh_info(vertices: ArrayLike, faces: ArrayLike) -> MeshInfo:
         faces=len(corners),
         boundary_edges=boundary,
         non_manifold_edges=non_manifold,
+        misoriented_edges=int(np.count_nonzero((faces_per_edge == 2) & (np.abs(directions) == 2))),
         components=_count_components(triangles, n_welded),
         isolated_vertices=int(np.count_nonzero(~is_used)),
         zero_area_faces=int(np.count_nonzero(_is_without_area(points, corners))),
@@ -105,13 +108,18 @@ def _weld(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
     return welded, int(is_new.sum())
 
 
-def _edges(triangles: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Unique edges (E, 2) of triangles with sorted corners, and the number of faces at each (E,)."""
-    pairs = triangles[:, [0, 1, 1, 2, 0, 2]].reshape(-1, 2)
+def _edges(
+    triangles: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Unique edges (E, 2), the faces at each (E,), and how many more of these run up than down in ids (E,)."""
+    begin, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     # One integer per edge sorts several times faster than rows.
     width = int(triangles.max(initial=0)) + 1
-    keys, counts = np.unique(pairs[:, 0] * width + pairs[:, 1], return_counts=True)
-    return np.column_stack([keys // width, keys % width]), counts
+    keys, place, counts = np.unique(
+        np.minimum(begin, end) * width + np.maximum(begin, end), return_inverse=True, return_counts=True
+    )
+    upwards = np.bincount(place, np.where(begin < end, 1.0, -1.0), len(keys)).astype(np.int64)
+    return np.column_stack([keys // width, keys % width]), counts, upwards
 
 
 def _count_components(triangles: NDArray[np.int64], n_vertices: int) -> int:
