@@ -105,7 +105,7 @@ def camera() -> None:
         [
             [
                 Panel("scan", *mesh),
-                Panel("preset scan", clean, pair.faces),
+                Panel("default", clean, pair.faces),
                 Panel("guided-normal", guided, pair.faces),
                 Panel("truth", pair.clean_vertices, pair.faces),
             ]
