@@ -19,7 +19,7 @@ from gcnd.cli import app
 from gcnd.data.noise import add_noise
 from gcnd.denoiser import Denoiser
 from gcnd.mesh_io import save
-from gcnd.scans import ScanKind, simulate
+from gcnd.scans import Kinect1, Kinect2, ScanKind, simulate
 
 Points = NDArray[np.float64]
 Faces = NDArray[np.uint32]
@@ -52,6 +52,22 @@ def test_frames_and_fused_frames_get_the_weights_for_scans(name: str, kind: Scan
     assert choose_preset(signs).preset == "scan", signs
     assert (signs.pixel_share > 0.5) == (kind != "fusion")
     assert (signs.voxel_share > 0.7) == (kind == "fusion")
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [Kinect1(noise=0.1, window=0.5, steps_per_pixel=256.0), Kinect2(noise=0.2, depth_step=5e-5)],
+    ids=["little and of each vertex", "little and shared"],
+)
+def test_frames_of_better_cameras_get_the_default(sensor: Kinect1 | Kinect2) -> None:
+    vertices, faces = body("ball")
+    kind: ScanKind = "kinect1" if isinstance(sensor, Kinect1) else "kinect2"
+    pair = simulate(kind, vertices, faces, seed=4, setting=sensor)
+    signs = signs_of(pair.noisy_vertices, pair.faces)
+    assert signs.pixel_share > 0.5
+    choice = choose_preset(signs)
+    assert choice.preset == "default", signs
+    assert "larger or wider" in choice.why
 
 
 @pytest.mark.parametrize("name", ["ball", "box"])

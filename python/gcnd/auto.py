@@ -26,6 +26,12 @@ CLEAN = 0.01
 PIXEL_SHARE = 0.4
 """From here on a mesh counts as one frame of a camera: frames have 0.52 and more, other meshes up to 0.22."""
 
+MILD_FRAME = 0.03
+"""Noise in mean edge lengths under which a frame is better than a Kinect's, and `default` keeps more of its detail."""
+
+MILD_WHITE_FRAME = 0.095
+"""The same where neighbours err apart: a Kinect's noise is shared by neighbours, or larger than that."""
+
 VOXEL_SHARE = 0.5
 """From here on a mesh counts as extracted from voxels: those have 0.78 and more, other meshes up to 0.08.
 
@@ -100,8 +106,10 @@ def choose_preset(signs: Signs) -> Choice:
     if signs.level < CLEAN:
         return Choice("default", f"it is nearly clean; {noise}")
     if signs.pixel_share >= PIXEL_SHARE:
-        faces = f"{100 * signs.pixel_share:.0f} % of the faces"
-        return Choice("scan", f"{faces} are halves of a camera's pixels; {noise}")
+        pixels = f"{100 * signs.pixel_share:.0f} % of the faces are halves of a camera's pixels"
+        if signs.level < (MILD_WHITE_FRAME if signs.correlation < 0 else MILD_FRAME):
+            return Choice("default", f"{pixels}, but a depth camera's noise is larger or wider; {noise}")
+        return Choice("scan", f"{pixels}; {noise}")
     if signs.voxel_share >= VOXEL_SHARE and signs.area_ratio >= AREA_RATIO:
         vertices = f"{100 * signs.voxel_share:.0f} % of the vertices"
         return Choice("scan", f"{vertices} lie on the edges of voxels; {noise}")

@@ -226,8 +226,8 @@ def widened(
 ) -> dict[str, torch.Tensor]:
     """Fits weights to a network of the same layout that may see more: the scale space, the roughness of the mesh.
 
-    The weights of the new channels, which are the last ones, are zero, so that both networks answer the same. Patches may
-    be of another size.
+    The weights of the new channels, which are the last ones, are zero, so that both networks answer the same. Patches
+    may be of another size.
 
     Args:
         state: Weights of a network.
