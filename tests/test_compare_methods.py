@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from gcnd.auto import CANDIDATES
 from gcnd.compare import methods as registry
 from gcnd.compare.adapters import LIBRARIES, Adapted, Library
 from gcnd.compare.methods import available, classical_labels, known_names, parse_methods
@@ -80,6 +81,14 @@ def test_weights_count_into_the_version(tmp_path: Path) -> None:
     assert method.version.endswith(hashlib.sha256(b"weights").hexdigest()[:12])
     assert method.settings == {"preset": str(path), **PRESET_SETTINGS, "seed": 3}
     assert parse_methods(["default"])[0].version != parse_methods(["fast"])[0].version
+
+
+def test_auto_is_a_method_of_its_own_with_the_weights_of_all_candidates() -> None:
+    (auto,) = parse_methods(["auto"])
+    for candidate in CANDIDATES:
+        (method,) = parse_methods([candidate])
+        assert method.version.split()[-1] in auto.version
+    assert "auto" not in labels("presets")
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import gcnd
+from gcnd.auto import AUTO, CANDIDATES
 from gcnd.compare.adapters import LIBRARIES, Adapted, Library
 from gcnd.compare.own import PRESET_SETTINGS
 from gcnd.errors import ConfigError
@@ -120,7 +121,7 @@ def available(methods: Sequence[Method]) -> tuple[list[Method], list[str]]:
 
 def known_names() -> list[str]:
     """Returns every name that needs no path: groups, presets, filters, libraries and their methods."""
-    names = [*GROUPS, *_presets(), *(info.name for info in list_filters())]
+    names = [*GROUPS, AUTO, *_presets(), *(info.name for info in list_filters())]
     for library in LIBRARIES.values():
         names += [library.name, *(f"{library.name}:{method}" for method in library.methods)]
     return names
@@ -157,7 +158,7 @@ def _expanded(text: str) -> list[Method]:
         return [_adapted(source, method, settings)]
     if any(info.name == name for info in list_filters()):
         return [_filter(name, settings)]
-    if name in _presets() or name.endswith(".safetensors"):
+    if name in (AUTO, *_presets()) or name.endswith(".safetensors"):
         return [_preset(name, settings)]
     raise ConfigError(f"there is no method {name!r}", hint=_known())
 
@@ -203,9 +204,11 @@ def _preset(name: str, settings: str | None) -> Method:
 def _weights_hash(name: str) -> str:
     from gcnd.weights.registry import list_models
 
-    for info in list_models():
-        if info.name == name:
-            return info.sha256[:12]
+    hashes = {info.name: info.sha256 for info in list_models()}
+    if name == AUTO:
+        return "+".join(hashes[candidate][:12] for candidate in CANDIDATES)
+    if name in hashes:
+        return hashes[name][:12]
     path = Path(name)
     if not path.is_file():
         raise ConfigError(f"no such weights file: {path}", hint=_known())

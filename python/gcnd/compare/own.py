@@ -14,15 +14,12 @@ PRESET_SETTINGS: dict[str, int | None] = {"seed": 0, "normal_iterations": None, 
 
 def network(preset: str, **settings: Any) -> Denoiser:
     """Makes a preset ready: torch imported and the weights read."""
-    from gcnd.denoise import denoise_arrays
-    from gcnd.mesh_io import to_arrays
-    from gcnd.weights import load_cascade
+    from gcnd.denoiser import Denoiser as Weights
 
-    cascade = load_cascade(preset)
+    weights = Weights(preset, **settings)
 
     def denoise(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
-        mesh, ids = to_arrays((vertices, faces))[0].welded()
-        return denoise_arrays(mesh.vertices, mesh.faces, cascade, **settings)[ids], faces
+        return weights.run((vertices, faces)).after, faces
 
     return denoise
 
