@@ -13,8 +13,10 @@ import pytest
 import torch
 from safetensors.torch import save_file
 from torch import nn
+from typer.testing import CliRunner
 
 from gcnd.auto import CANDIDATES
+from gcnd.cli import app
 from gcnd.denoise import denoise
 from gcnd.errors import ConfigError, GcndError, WeightsError
 from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, RefinementConfig, StageConfig
@@ -304,3 +306,11 @@ def test_the_card_states_what_the_file_holds(name: str) -> None:
     assert all(torch.isfinite(tensor).all() for tensor in tensors.values() if tensor.is_floating_point())
     assert len(models[name].description) > 10
     assert {model.name for model in list_models() if model.auto} == {*CANDIDATES}
+
+
+def test_every_card_can_be_shown() -> None:
+    run = CliRunner().invoke(app, ["models"])
+    assert run.exit_code == 0, run.exception
+    for name in registry._SHIPPED:
+        assert f"\n{name}" in f"\n{run.stdout}"
+    assert run.stdout.count("trained on") == len(registry._SHIPPED)
