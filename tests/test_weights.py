@@ -313,4 +313,4 @@ def test_every_card_can_be_shown() -> None:
     assert run.exit_code == 0, run.exception
     for name in registry._SHIPPED:
         assert f"\n{name}" in f"\n{run.stdout}"
-    assert run.stdout.count("trained on") == len(registry._SHIPPED)
+    assert run.stdout.count("openly licensed meshes") == len(registry._SHIPPED)

@@ -1,4 +1,4 @@
-"""The presets that the panel offers: those that every gcnd has, or all that the installed one lists. Needs no Blender."""
+"""The presets that the panel offers: those of every gcnd, or all that the installed one lists. Needs no Blender."""
 
 from __future__ import annotations
 
