@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 from gcnd.errors import ConfigError
 from gcnd.nn.cascade import VERTEX_ITERATIONS, PatchConfig, RefinementConfig, StageConfig
@@ -100,7 +100,7 @@ def _fast(*steps: int) -> Recipe:
     )
 
 
-SCAN_PATCH = PatchConfig(patch_scale=8.0, n_nodes=256, scale_space=True, roughness=True)
+SCAN_PATCH = {"patch_scale": 8.0, "n_nodes": 256}
 """As wide as the paper's for scans, since a scanner's noise is as wide as several faces.
 
 Choice: docs/choices.md#scan-patches."""
@@ -110,28 +110,28 @@ SCAN_VERTEX_ITERATIONS = 60
 """Noise wider than a face is taken away slowly. Choice: docs/choices.md#scan-vertex-updating."""
 
 
-def _scan(*steps: int) -> Recipe:
-    """The default's networks on simulated scans; every draw of patches is from one of a fixed number of pairs."""
-    recipe = _default(*steps)
+def _on_scans(recipe: Recipe, patch: dict[str, Any], **training: Any) -> Recipe:
+    """A recipe with other patches, on simulated scans; every draw is from one of a fixed number of pairs."""
     stages = tuple(
         replace(
-            stage,
-            stage=replace(stage.stage, patch=SCAN_PATCH),
-            batch=64,
-            lr=1e-3,
+            config,
+            stage=replace(config.stage, patch=replace(config.stage.patch, **patch)),
             chunk=ChunkConfig(n_meshes=8, n_patches=1024),
+            **training,
         )
-        for stage in recipe.stages
+        for config in recipe.stages
     )
+    return replace(recipe, stages=stages, data="scans", n_scans=480)
+
+
+def _scan(*steps: int) -> Recipe:
+    """The default's networks on simulated scans."""
     return replace(
-        recipe,
+        _on_scans(_default(*steps), SCAN_PATCH, batch=64, lr=1e-3),
         name="scan",
         description="wide patches, trained on simulated depth-camera frames, fused frames and scanned prints",
-        stages=stages,
         pool_size=160,
         refinement=replace(REFINE_WHERE_CONSISTENT, iterations=4, sigma_r=0.2),
-        data="scans",
-        n_scans=480,
         vertex_iterations=SCAN_VERTEX_ITERATIONS,
     )
 
@@ -159,22 +159,10 @@ def _paper(steps: int, later_steps: int) -> Recipe:
 
 def _paper_scan(*steps: int) -> Recipe:
     """The paper's networks as it trains them for scanners: k = 8, 256 nodes (paper Sec. 7.5)."""
-    recipe = _paper(*steps)
-    stages = tuple(
-        replace(
-            stage,
-            stage=replace(stage.stage, patch=replace(stage.stage.patch, patch_scale=8.0, n_nodes=256)),
-            chunk=ChunkConfig(n_meshes=8, n_patches=1024),
-        )
-        for stage in recipe.stages
-    )
     return replace(
-        recipe,
+        _on_scans(_paper(*steps), SCAN_PATCH),
         name="paper-scan",
         description="the paper's two networks with its patches for scanners, on simulated scans",
-        stages=stages,
-        data="scans",
-        n_scans=480,
     )
 
 
