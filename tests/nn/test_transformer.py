@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 from nn_cases import SMALL_CENTRE, SMALL_NODES, random_patches
 from torch import nn
 
+from gcnd.nn.cascade import Cascade, PatchConfig, RefinementConfig, StageConfig
 from gcnd.nn.fold import for_inference
 from gcnd.nn.networks import NetworkConfig, build_network
 from gcnd.nn.transformer import SpatialTransformer, TransformedNet, vector_starts
+from gcnd.weights import load_cascade, save_cascade
 
 CONFIGS = [
     replace(SMALL_CENTRE, architecture="transformed-centre"),
@@ -83,6 +86,24 @@ def test_inference_equals_evaluation_mode(config: NetworkConfig) -> None:
         got = for_inference(network, "float32")(features, neighbors)
     assert expected.std() > 0.05
     assert (got - expected).abs().max() < 1e-4
+
+
+@both
+def test_weights_from_a_file_predict_the_same(config: NetworkConfig, tmp_path: Path) -> None:
+    torch.manual_seed(5)
+    network = build_network(config).eval()
+    nn.init.normal_(network.transformer.out.weight, std=0.1)
+    nn.init.normal_(network.network.out.weight, std=0.3)
+    stage = StageConfig(config, PatchConfig(vertex_offsets=config.in_channels > 8))
+    cascade = Cascade.assembled([(stage, network)], RefinementConfig())
+    save_cascade(tmp_path / "w.safetensors", cascade, {})
+    loaded = load_cascade(str(tmp_path / "w.safetensors")).stages[0]
+    features, neighbors = random_patches(config)
+    with torch.inference_mode():
+        expected = network(features, neighbors)
+        assert (loaded(features, neighbors) - expected).abs().max() < 1e-4
+    assert expected.std() > 0.05
+    assert all(parameter.requires_grad for parameter in network.parameters())
 
 
 @both

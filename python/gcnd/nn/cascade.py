@@ -227,5 +227,5 @@ class Cascade(nn.Module):
         from gcnd.nn.fold import folded
 
         twin = Cascade(self.config)
-        twin.stages = nn.ModuleList(folded(network) for network in self.stages)  # type: ignore[arg-type]
+        twin.stages = nn.ModuleList(folded(network) for network in self.stages)
         return twin.eval()

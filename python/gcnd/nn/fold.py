@@ -126,18 +126,27 @@ class FoldedNodeNet(nn.Module):
 
 
 @torch.no_grad()
-def folded(network: CentreNormalNet | NodeNormalNet) -> FoldedCentreNet | FoldedNodeNet:
+def folded(network: nn.Module) -> nn.Module:
     """Returns a network for inference; the original keeps its BatchNorm layers.
 
     Args:
-        network: A trained network, any mode; its running statistics are used.
+        network: A trained network of ours, any mode; its running statistics are used. A spatial transformer in front of
+            it stays as it is.
 
     Returns:
         The same interface, evaluation mode, not trainable.
 
     Choice: docs/choices.md#edgeconv-split.
     """
-    twin = FoldedNodeNet(network) if isinstance(network, NodeNormalNet) else FoldedCentreNet(network)
+    twin: nn.Module
+    if isinstance(network, TransformedNet):
+        twin = TransformedNet(copy.deepcopy(network.transformer), folded(network.network))
+    elif isinstance(network, NodeNormalNet):
+        twin = FoldedNodeNet(network)
+    elif isinstance(network, CentreNormalNet):
+        twin = FoldedCentreNet(network)
+    else:
+        raise TypeError(f"network is a {type(network).__name__}, allowed: what build_network returns")
     return twin.eval().requires_grad_(False)
 
 
