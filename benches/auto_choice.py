@@ -105,7 +105,7 @@ def noise_cases(shapes: list[CleanShape], seed: int) -> Iterator[Case]:
 
 
 def choice_of(case: Case) -> str:
-    """The preset that auto takes; on stderr-like lines it would say why."""
+    """The preset that auto takes."""
     signs = read_signs(_geom.Topology(case.faces, len(case.noisy)), case.noisy, case.faces)
     return choose_preset(signs).preset
 
