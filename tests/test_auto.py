@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ import gcnd
 from gcnd import _geom
 from gcnd.auto import CANDIDATES, Signs, choose_preset, read_signs
 from gcnd.cli import app
-from gcnd.data.noise import add_noise
+from gcnd.data.noise import NoiseKind, add_noise
 from gcnd.denoiser import Denoiser
 from gcnd.mesh_io import save
 from gcnd.scans import Kinect1, Kinect2, ScanKind, simulate
@@ -76,6 +77,58 @@ def test_noise_of_every_vertex_gets_the_default(name: str, level: float) -> None
     vertices, faces = body(name)
     noisy = add_noise(vertices, faces, level=level, seed=2)
     assert choose_preset(signs_of(noisy, faces)).preset == "default"
+
+
+@pytest.mark.parametrize("name", ["ball", "box"])
+def test_prints_get_the_weights_for_scans(name: str) -> None:
+    vertices, faces = body(name)
+    pair = simulate("print", vertices, faces, seed=4)
+    signs = signs_of(pair.noisy_vertices, pair.faces)
+    choice = choose_preset(signs)
+    assert choice.preset == "scan", signs
+    assert f"lines every {signs.line_wavelength:.1f} mean edges" in choice.why
+    assert signs.line_wavelength == pytest.approx(4.0, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "lost",
+    [
+        {"line_share": 0.04},
+        {"line_contrast": 14.0},
+        {"line_reach": 0.7},
+        {"line_weakest_side": 0.2},
+        {"level": 0.009},
+    ],
+    ids=lambda lost: next(iter(lost)),
+)
+def test_lines_without_one_of_their_marks_are_a_shape(lost: dict[str, float]) -> None:
+    printed = Signs(0.05, 0.3, 0.0, 0.0, 2.0, 0.2, 100.0, 1.0, 0.6, 4.0)
+    assert choose_preset(printed).preset == "scan"
+    assert choose_preset(replace(printed, **lost)).preset == "default"
+
+
+@pytest.mark.parametrize("kind", ["impulsive", "isotropic", "varying"])
+@pytest.mark.parametrize("name", ["ball", "box"])
+def test_every_kind_of_noise_of_each_vertex_gets_the_default(name: str, kind: NoiseKind) -> None:
+    vertices, faces = body(name)
+    noisy = add_noise(vertices, faces, kind=kind, level=0.3, seed=6)
+    assert choose_preset(signs_of(noisy, faces)).preset == "default"
+
+
+def test_a_print_is_known_from_any_side_at_any_size_and_order_of_faces() -> None:
+    vertices, faces = body("ball")
+    pair = simulate("print", vertices, faces, seed=1)
+    rng = np.random.default_rng(0)
+    turn = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+    moved = 250.0 * pair.noisy_vertices @ turn.T + [1000.0, -500.0, 3.0]
+    straight = signs_of(pair.noisy_vertices, pair.faces)
+    shuffled = signs_of(pair.noisy_vertices, np.ascontiguousarray(rng.permutation(pair.faces)))
+    turned = signs_of(moved, pair.faces)
+    assert shuffled.line_share == pytest.approx(straight.line_share, rel=1e-3)
+    # Boxes are along the axes: turned, a surface is cut into other ones.
+    assert turned.line_share == pytest.approx(straight.line_share, rel=0.3)
+    assert turned.line_wavelength == pytest.approx(straight.line_wavelength, rel=0.05)
+    assert choose_preset(turned).preset == choose_preset(straight).preset == "scan"
 
 
 def test_an_open_surface_is_no_frame() -> None:
@@ -164,3 +217,8 @@ def test_the_command_says_what_it_chose_and_why(tmp_path: Path) -> None:
     info = json.loads(CliRunner().invoke(app, ["info", f"{tmp_path}/scan.ply", "--json"]).stdout)
     assert info["preset"] == "scan"
     assert info["pixel_share"] > 0.5
+    printed = simulate("print", *body("ball"), seed=1)
+    save((printed.noisy_vertices, printed.faces), f"{tmp_path}/print.ply")
+    told = CliRunner().invoke(app, ["info", f"{tmp_path}/print.ply"])
+    assert "lines every 4" in told.stdout
+    assert "line share" in told.stdout

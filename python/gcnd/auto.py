@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcnd import _geom
+from gcnd.layer_lines import layer_lines, unevenness
 
 __all__ = ["AUTO", "CANDIDATES", "Choice", "Signs", "choose_preset", "read_signs"]
 
@@ -40,6 +41,18 @@ Grids of quads along the axes have as much, but even triangles."""
 AREA_RATIO = 3.0
 """Surfaces cut voxels into large and small faces: 3.8 and more."""
 
+LINE_SHARE = 0.05
+"""From here on, with the three below, a mesh counts as printed: others that meet the three have up to 0.042."""
+
+LINE_CONTRAST = 15.0
+"""A margin for detail that runs in many directions: no mesh tried met the other three without it."""
+
+LINE_REACH = 0.75
+"""Detail on a part of a body reaches less far."""
+
+LINE_WEAKEST_SIDE = 0.3
+"""Ribs are on some of the walls of a machine part: 0 to 0.27."""
+
 _AREA_TOLERANCE = 0.25
 _ANGLE_TOLERANCE = 0.25
 _FITS = 6
@@ -61,6 +74,12 @@ class Signs:
         voxel_share: Share of vertices with just two coordinates that many others have too, as where a surface crosses
             the edges of voxels.
         area_ratio: The 90th percentile of the areas of faces over the 10th.
+        line_share: Share of the variance of vertices' offsets that one plane wave through space explains, as layers of
+            a print make it; this and the next see `gcnd.layer_lines.LayerLines`.
+        line_contrast: Power of that wave over that of waves as long in other directions.
+        line_reach: Share of the vertices in boxes where it stands out.
+        line_weakest_side: Its energy in walls of the direction that has least of it, over the mean.
+        line_wavelength: Its length in mean edges; 0 where none was looked for.
     """
 
     level: float
@@ -68,6 +87,21 @@ class Signs:
     pixel_share: float
     voxel_share: float
     area_ratio: float
+    line_share: float = 0.0
+    line_contrast: float = 0.0
+    line_reach: float = 0.0
+    line_weakest_side: float = 0.0
+    line_wavelength: float = 0.0
+
+    @property
+    def has_lines(self) -> bool:
+        """Whether lines as those of a printer's layers are seen on all of the mesh."""
+        return (
+            self.line_share >= LINE_SHARE
+            and self.line_contrast >= LINE_CONTRAST
+            and self.line_reach >= LINE_REACH
+            and self.line_weakest_side >= LINE_WEAKEST_SIDE
+        )
 
     def described(self) -> dict[str, float]:
         """Returns the signs as JSON-ready values."""
@@ -113,7 +147,12 @@ def choose_preset(signs: Signs) -> Choice:
     if signs.voxel_share >= VOXEL_SHARE and signs.area_ratio >= AREA_RATIO:
         vertices = f"{100 * signs.voxel_share:.0f} % of the vertices"
         return Choice("scan", f"{vertices} lie on the edges of voxels; {noise}")
-    return Choice("default", f"neither a camera's pixels nor voxels are seen in it; {noise}")
+    if signs.has_lines:
+        lines = f"lines every {signs.line_wavelength:.1f} mean edges, as a printer's layers leave them"
+        return Choice("scan", f"{lines}, are {100 * signs.line_share:.0f} % of its unevenness; {noise}")
+    return Choice(
+        "default", f"neither a camera's pixels nor voxels nor a printer's layers are seen in it; {noise}"
+    )
 
 
 def read_signs(topology: _geom.Topology, vertices: Points, faces: Faces) -> Signs:
@@ -125,7 +164,7 @@ def read_signs(topology: _geom.Topology, vertices: Points, faces: Faces) -> Sign
         faces: Vertex ids (F, 3).
 
     Returns:
-        The signs; of large meshes the last two are those of an even sample.
+        The signs; of large meshes those of pixels, voxels and lines are those of an even sample.
 
     Choice: docs/choices.md#auto.
     """
@@ -135,12 +174,19 @@ def read_signs(topology: _geom.Topology, vertices: Points, faces: Faces) -> Sign
     size = float(np.abs(vertices - vertices[0]).max())
     vertices = (vertices - vertices[0]) / size if size > 0 else vertices
     edge = _geom.mean_edge_length(vertices, faces)
+    found = unevenness(vertices, faces)
+    lines = layer_lines(found, edge)
     return Signs(
         level=noise_level(topology, vertices, faces),
-        correlation=_correlation(vertices, faces),
+        correlation=_correlation(faces, found.offsets),
         pixel_share=_pixel_share(vertices, faces[:: 1 + len(faces) // _MOST_SAMPLED]),
         voxel_share=_voxel_share(vertices[:: 1 + len(vertices) // _MOST_SAMPLED], edge),
         area_ratio=_area_ratio(vertices, faces),
+        line_share=lines.share,
+        line_contrast=lines.contrast,
+        line_reach=lines.reach,
+        line_weakest_side=lines.weakest_side,
+        line_wavelength=lines.wavelength,
     )
 
 
@@ -199,23 +245,12 @@ def _area_ratio(vertices: Points, faces: Faces) -> float:
     return float(large / small) if small > 0 else 1.0
 
 
-def _correlation(vertices: Points, faces: Faces) -> float:
-    """Correlation along edges of n_i · (v_i − mean of neighbours), cut off at three times its median."""
-    n_vertices = len(vertices)
+def _correlation(faces: Faces, offsets: NDArray[np.float64]) -> float:
+    """Correlation of offsets along edges, cut off at three times their median."""
     ids = faces.astype(np.int64)
     begin, end = ids.ravel(), np.roll(ids, -1, axis=1).ravel()
-    counts = np.bincount(begin, minlength=n_vertices) + np.bincount(end, minlength=n_vertices)
-    corners = vertices[ids]
-    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    offsets, lengths = np.zeros(n_vertices), np.zeros(n_vertices)
-    for axis in range(3):
-        ends = np.bincount(begin, vertices[end, axis], n_vertices)
-        begins = np.bincount(end, vertices[begin, axis], n_vertices)
-        normal = np.bincount(begin, np.repeat(face_normals[:, axis], 3), n_vertices)
-        offsets += normal * (vertices[:, axis] - (ends + begins) / np.maximum(counts, 1))
-        lengths += np.square(normal)
-    offsets = np.divide(offsets, np.sqrt(lengths), out=np.zeros(n_vertices), where=lengths > 0)
-    limit = 3 * float(np.median(np.abs(offsets[counts > 0])))
+    is_used = np.bincount(begin, minlength=len(offsets)) > 0
+    limit = 3 * float(np.median(np.abs(offsets[is_used])))
     offsets = np.clip(offsets, -limit, limit)
     size = float(np.square(offsets[begin]).mean())
     return float((offsets[begin] * offsets[end]).mean()) / size if size > 0 else 0.0
