@@ -164,6 +164,7 @@ def test_shapes_and_types_are_refused_by_name(noisy: tuple[np.ndarray, np.ndarra
         ({"n_nodes": 8}, "n_nodes is 8, allowed: 16 to 512"),
         ({"sigma_vote": 0.0}, "sigma_vote is 0"),
         ({"budget": "few"}, "budget is few, allowed: nearest or random"),
+        ({"sheets": "both"}, "sheets is both, allowed: all or one"),
         ({"voting_region": "ring"}, "voting_region is ring, allowed: patch, two_ring or nobody"),
     ],
 )

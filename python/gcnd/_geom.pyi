@@ -38,6 +38,7 @@ class PatchExtractor:
         vertices: Points,
         *,
         patch_scale: float = 4.0,
+        sheets: Literal["all", "one"] = "all",
         n_nodes: int = 64,
         budget: Literal["nearest", "random"] = "nearest",
         seed: int = 0,
@@ -102,6 +103,9 @@ class Cover:
 
 def orient(topology: Topology) -> tuple[NDArray[np.bool_], int, int, int]:
     """Returns which faces to turn (F,), edges whose faces disagree, how many of them are left, one-sided components."""
+
+def find_spikes(topology: Topology, vertices: Points) -> tuple[Ids, Points, NDArray[np.bool_]]:
+    """Returns vertices far off the surface (S,), where the surface is (S, 3), and which are on a boundary (S,)."""
 
 def validate(vertices: Points, faces: Faces) -> None: ...
 def weld(vertices: Points) -> tuple[Ids, Ids]:

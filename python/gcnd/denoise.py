@@ -15,6 +15,7 @@ from gcnd import _geom
 from gcnd.auto import AUTO
 from gcnd.controls import Controls
 from gcnd.predict import agreement, fast_precision, predict_normals, refined
+from gcnd.spikes import Spikes
 from gcnd.stages import Progress, Stages
 
 if TYPE_CHECKING:
@@ -201,6 +202,8 @@ def clean_arrays(
     passes = cascade.passes()
     stages(0.0, "adjacency")
     topology = _geom.Topology(faces, len(vertices))
+    spikes = Spikes(topology, vertices)
+    vertices = spikes.taken_off(vertices)
     roughness = _geom.mesh_roughness(topology, vertices) if cascade.sees_roughness else None
     for index, (stage, network) in enumerate(passes):
         number = f"pass {index + 1} of {len(passes)}"
@@ -221,6 +224,7 @@ def clean_arrays(
             normals = refined(topology, vertices, prediction, refinement)
             stages(1.0, f"vertices, {number}")
         vertices = _geom.update_vertices(topology, vertices, normals, vertex_iterations, boundary)
+    vertices = spikes.tips_put_back(vertices)
     overlaps = passes[-1][0].coverage is not None
     # The way there and back rounds: what did not move keeps its bits.
     moved = np.where((vertices == start).all(axis=1)[:, None], given, vertices + origin)

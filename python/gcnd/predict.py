@@ -109,6 +109,7 @@ def make_extractor(
         topology,
         vertices,
         patch_scale=patch.patch_scale,
+        sheets=patch.sheets,
         n_nodes=patch.n_nodes,
         budget=patch.budget,
         seed=seed,

@@ -69,8 +69,11 @@ def classes(rng: Rng, _: Path) -> bool:
             topology_of(vertices, faces), vertices, patch_scale=scale, sigma_vote=sigma
         )
         roughness = _geom.mesh_roughness(topology_of(vertices, faces), vertices)
+        spikes, feet, _ = _geom.find_spikes(topology_of(vertices, faces), vertices)
     assert (found <= 3).all()
     assert not np.isnan(roughness).any()
+    assert (np.diff(spikes.astype(np.int64)) > 0).all()
+    finite(feet)
     return True
 
 
@@ -80,6 +83,7 @@ def patches(rng: Rng, _: Path) -> bool:
     options: dict[str, Any] = {
         "n_nodes": n,
         "budget": str(rng.choice(["nearest", "random"])),
+        "sheets": str(rng.choice(["all", "one"])),
         "voting_region": str(rng.choice(["patch", "two_ring", "nobody"])),
         "vertex_offsets": bool(rng.random() < 0.5),
         "scale_space": bool(rng.random() < 0.3),

@@ -10,6 +10,7 @@
 //! | validate, weld | [`mesh`] | – |
 //! | adjacency, once | [`topology`] | – |
 //! | which faces to turn | [`orientation`] | – |
+//! | which vertices to take off | [`spikes`] | – |
 //! | normals, centroids, areas | [`face_geometry`] | Sec. 4 |
 //! | aligned patch graphs | [`patch`] | Sec. 4, Eqs. 1–3 |
 //! | the network's CPU kernels | [`kernels`] | Sec. 5.1, Eq. 4 |
@@ -37,6 +38,7 @@ pub mod orientation;
 pub mod patch;
 pub mod remesh;
 pub mod smoothing;
+pub mod spikes;
 pub mod topology;
 pub mod vertex_update;
 pub mod watch;

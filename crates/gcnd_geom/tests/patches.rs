@@ -31,10 +31,11 @@ fn budget() -> impl Strategy<Value = Budget> {
 
 fn params() -> impl Strategy<Value = PatchParams> {
     let region = prop_oneof![Just(VotingRegion::Patch), Just(VotingRegion::TwoRing)];
-    (2.0..10.0f64, 16usize..80, budget(), region, 0.05..3.0f64, any::<[bool; 2]>()).prop_map(
-        |(patch_scale, n_nodes, budget, voting_region, sigma_vote, [vertex_offsets, scale_space])| {
+    (2.0..10.0f64, 16usize..80, budget(), region, 0.05..3.0f64, any::<[bool; 3]>()).prop_map(
+        |(patch_scale, n_nodes, budget, voting_region, sigma_vote, [vertex_offsets, scale_space, is_one])| {
             PatchParams {
                 patch_scale,
+                sheets: if is_one { Sheets::One } else { Sheets::All },
                 n_nodes,
                 budget,
                 voting_region,
@@ -52,6 +53,54 @@ fn rotation() -> impl Strategy<Value = DMat3> {
         .prop_filter_map("an axis has a length", |(axis, angle)| {
             DVec3::from(axis).try_normalize().map(|axis| DMat3::from_axis_angle(axis, angle))
         })
+}
+
+/// Eq. 1's faces without the parts that the centre does not reach over shared vertices and that face away from it;
+/// nothing where an angle is too close to 120° to tell.
+fn of_one_sheet((vertices, faces): &Mesh, center_id: usize, inside: &BTreeSet<u32>) -> Option<BTreeSet<u32>> {
+    let geometry = FaceGeometry::compute(vertices, faces);
+    let mean = |of: &BTreeSet<u32>| -> DVec3 {
+        of.iter().map(|&f| geometry.normals[f as usize] * geometry.areas[f as usize]).sum()
+    };
+    let touching = |of: &BTreeSet<u32>, from: &BTreeSet<u32>| -> BTreeSet<u32> {
+        let corners: BTreeSet<u32> = of.iter().flat_map(|&f| faces[f as usize]).collect();
+        from.iter().copied().filter(|&f| faces[f as usize].iter().any(|v| corners.contains(v))).collect()
+    };
+    let every: BTreeSet<u32> = (0..faces.len() as u32).collect();
+    let center = BTreeSet::from([center_id as u32]);
+    let own_normal = mean(&touching(&touching(&center, &every), &every));
+    let cosine = |n: DVec3| n.normalize_or_zero().dot(own_normal.normalize_or_zero());
+    let alone = |f: &u32| cosine(geometry.normals[*f as usize]);
+    if inside.iter().any(|f| (alone(f) + 0.5).abs() < 1e-9) {
+        return None;
+    }
+    if inside.iter().all(|f| alone(f) > -0.5) {
+        return Some(inside.clone());
+    }
+    let (mut left, mut kept) = (inside.clone(), BTreeSet::new());
+    let mut start = center_id as u32;
+    loop {
+        let mut part = BTreeSet::from([start]);
+        loop {
+            let grown = touching(&part, &left);
+            if grown.len() == part.len() {
+                break;
+            }
+            part = grown;
+        }
+        left = left.difference(&part).copied().collect();
+        let of_part = cosine(mean(&part));
+        if (of_part + 0.5).abs() < 1e-9 {
+            return None;
+        }
+        if start == center_id as u32 || of_part > -0.5 {
+            kept.append(&mut part);
+        }
+        match left.first() {
+            Some(&next) => start = next,
+            None => return Some(kept),
+        }
+    }
 }
 
 /// Eq. 1 word by word: (faces with a vertex strictly inside, and the centre), r.
@@ -92,6 +141,22 @@ proptest! {
             let key = |f: u32| centroids[f as usize].distance_squared(centroids[face_id]);
             for pair in selected[1..].windows(2) {
                 prop_assert!((key(pair[0]), pair[0]) < (key(pair[1]), pair[1]));
+            }
+        }
+    }
+
+    #[test]
+    fn one_sheet_equals_brute_force(mesh in soup(), patch_scale in 2.0..10.0f64) {
+        let topology = Topology::new(mesh.1.clone(), mesh.0.len()).expect("valid mesh");
+        let params = PatchParams { patch_scale, sheets: Sheets::One, ..PatchParams::default() };
+        let extractor = PatchExtractor::new(&topology, &mesh.0, params).expect("valid mesh");
+        for face_id in 0..mesh.1.len() {
+            let selected = extractor.select(face_id as u32).expect("valid id").0;
+            let (inside, radius) = select_by_the_text(&mesh, face_id, patch_scale);
+            prop_assert_eq!(selected[0], face_id as u32);
+            let expected = of_one_sheet(&mesh, face_id, &inside);
+            if let Some(expected) = expected.filter(|_| radius > 0.0) {
+                prop_assert_eq!(selected.iter().copied().collect::<BTreeSet<_>>(), expected);
             }
         }
     }

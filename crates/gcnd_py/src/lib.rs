@@ -29,7 +29,7 @@ mod _geom {
         knn, pool_nodes, pool_nodes_backward,
     };
     #[pymodule_export]
-    use super::mesh::{PyTopology, face_geometry, orient, validate, weld};
+    use super::mesh::{PyTopology, face_geometry, find_spikes, orient, validate, weld};
     #[pymodule_export]
     use super::patches::{PyCover, PyNormalAccumulator, PyPatchExtractor, classify_faces, mesh_roughness};
 }

@@ -4,7 +4,7 @@ use crate::arrays::{self, Faces, Points};
 use crate::errors::IntoPython;
 use gcnd_geom::face_geometry::FaceGeometry;
 use gcnd_geom::orientation::Orientation;
-use gcnd_geom::{Topology, mesh, orientation};
+use gcnd_geom::{DVec3, Topology, mesh, orientation, spikes};
 use numpy::{IntoPyArray, PyArray1, PyArray2};
 use pyo3::prelude::*;
 use std::sync::Arc;
@@ -51,6 +51,22 @@ pub fn orient<'py>(py: Python<'py>, topology: &PyTopology) -> OrientationArrays<
     let Orientation { is_turned, disagreeing_edges, edges_left, one_sided_components } =
         py.detach(|| orientation::orientation(&topology.inner));
     (is_turned.into_pyarray(py), disagreeing_edges, edges_left, one_sided_components)
+}
+
+type SpikeArrays<'py> = (Bound<'py, PyArray1<u32>>, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray1<bool>>);
+
+#[pyfunction]
+pub fn find_spikes<'py>(
+    py: Python<'py>,
+    topology: &PyTopology,
+    vertices: Points<'py>,
+) -> PyResult<SpikeArrays<'py>> {
+    let vertices = arrays::points("vertices", &vertices)?;
+    let found = py.detach(|| spikes::find_spikes(&topology.inner, vertices)).into_python()?;
+    let ids: Vec<u32> = found.iter().map(|spike| spike.vertex_id).collect();
+    let feet: Vec<DVec3> = found.iter().map(|spike| spike.foot).collect();
+    let is_on_rim: Vec<bool> = found.iter().map(|spike| spike.is_on_rim).collect();
+    Ok((ids.into_pyarray(py), arrays::triples(py, feet)?, is_on_rim.into_pyarray(py)))
 }
 
 #[pyfunction]

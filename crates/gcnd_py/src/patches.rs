@@ -5,7 +5,7 @@ use crate::errors::{ConfigError, IntoPython};
 use crate::mesh::PyTopology;
 use gcnd_geom::patch::{
     self, Budget, Cover, NormalAccumulator, PatchBuffers, PatchExtractor, PatchParams, ROUGHNESS_QUANTILES,
-    VotingRegion,
+    Sheets, VotingRegion,
 };
 use gcnd_geom::{DVec3, Topology};
 use numpy::{
@@ -44,6 +44,14 @@ fn voting_region_from(name: &str) -> PyResult<VotingRegion> {
     }
 }
 
+fn sheets_from(name: &str) -> PyResult<Sheets> {
+    match name {
+        "all" => Ok(Sheets::All),
+        "one" => Ok(Sheets::One),
+        _ => Err(ConfigError::new_err(format!("sheets is {name}, allowed: all or one"))),
+    }
+}
+
 fn budget_from(name: &str, seed: u64) -> PyResult<Budget> {
     match name {
         "nearest" => Ok(Budget::NearestFirst),
@@ -64,7 +72,7 @@ fn roughness_from(values: PyReadonlyArray1<'_, f64>) -> PyResult<[f64; ROUGHNESS
 #[pymethods]
 impl PyPatchExtractor {
     #[new]
-    #[pyo3(signature = (topology, vertices, *, patch_scale=4.0, n_nodes=64, budget="nearest", seed=0,
+    #[pyo3(signature = (topology, vertices, *, patch_scale=4.0, sheets="all", n_nodes=64, budget="nearest", seed=0,
                         voting_region="patch", sigma_vote=1.0 / 3.0, vertex_offsets=true,
                         scale_space=false, roughness=None))]
     #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
@@ -73,6 +81,7 @@ impl PyPatchExtractor {
         topology: &PyTopology,
         vertices: Points<'_>,
         patch_scale: f64,
+        sheets: &str,
         n_nodes: usize,
         budget: &str,
         seed: u64,
@@ -84,6 +93,7 @@ impl PyPatchExtractor {
     ) -> PyResult<Self> {
         let params = PatchParams {
             patch_scale,
+            sheets: sheets_from(sheets)?,
             n_nodes,
             budget: budget_from(budget, seed)?,
             voting_region: voting_region_from(voting_region)?,

@@ -64,6 +64,12 @@ class PatchConfig:
                 raise ConfigError(f"{name} is {value!r}, allowed: {', '.join(map(str, allowed))}")
 
     @property
+    def sheets(self) -> Literal["all", "one"]:
+        """Whether patches leave out the other side of a thin wall: "one" with our budget, "all", the text, with the
+        paper's. Choice: docs/choices.md#other-sheets."""
+        return "one" if self.budget == "nearest" else "all"
+
+    @property
     def n_channels(self) -> int:
         """Channels of the features: 8, 9 each for vertex offsets and the scale space, 4 for the roughness."""
         return 8 + 9 * self.vertex_offsets + 9 * self.scale_space + 4 * self.roughness

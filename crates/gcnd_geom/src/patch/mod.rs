@@ -3,6 +3,7 @@
 //! | step | file | paper |
 //! |---|---|---|
 //! | which faces | `select` | Eq. 1 |
+//! | and not a thin wall's other side | `sheets` | – |
 //! | which frame | `voting` | Eqs. 2–3 |
 //! | how many nodes | `budget` | Sec. 5 |
 //! | features and static neighbours | `graph` | Sec. 4.3 |
@@ -25,13 +26,14 @@ mod params;
 mod roughness;
 mod scale_space;
 mod select;
+mod sheets;
 pub(crate) mod symmetric_eigen;
 mod voting;
 
 pub use accumulator::NormalAccumulator;
 pub use classes::{FaceClass, classify_faces};
 pub use cover::Cover;
-pub use params::{Budget, PatchParams, VotingRegion};
+pub use params::{Budget, PatchParams, Sheets, VotingRegion};
 pub use roughness::{ROUGHNESS_QUANTILES, mesh_roughness};
 
 use crate::error::{GeomError, Result, check_len};
@@ -154,7 +156,8 @@ impl<'a> PatchExtractor<'a> {
     }
 
     /// Selects the faces of one patch: f_j with a vertex v_k such that ‖v_k − c_i‖ < r,
-    /// r = patch_scale · sqrt(ā), ā the mean area of the centre and its 2-ring.
+    /// r = patch_scale · sqrt(ā), ā the mean area of the centre and its 2-ring; with [`Sheets::One`] without the other
+    /// side of a thin wall.
     ///
     /// Returns the centre, then the others by (distance of centroids, face id), before the patch is fixed to
     /// `n_nodes`; and r in mesh units, 1 where the areas give none (then the centre is alone).
@@ -162,7 +165,7 @@ impl<'a> PatchExtractor<'a> {
     /// # Errors
     /// [`GeomError::InvalidParameter`] when there is no such face.
     ///
-    /// Paper: Sec. 4.1, Eq. 1. Choice: docs/choices.md#patch-radius.
+    /// Paper: Sec. 4.1, Eq. 1. Choice: docs/choices.md#patch-radius, docs/choices.md#other-sheets.
     pub fn select(&self, face_id: u32) -> Result<(Vec<u32>, f64)> {
         self.check_face_ids(&[face_id])?;
         let mut scratch = PatchScratch::new();
@@ -246,6 +249,9 @@ impl<'a> PatchExtractor<'a> {
         let Self { topology, vertices, geometry, tree, params, .. } = self;
         let scale = select::patch_scale_of(topology, geometry, face_id, params.patch_scale, select);
         select::select_patch(topology, geometry, vertices, tree, face_id, scale.radius, select);
+        if params.sheets == Sheets::One {
+            sheets::leave_other_sheets(topology, geometry, scale.area_normal, select);
+        }
         let to_local = self.to_local(face_id, &scale);
         locals.clear();
         locals.extend(select.candidates.iter().map(|candidate| to_local(candidate.face_id)));

@@ -17,6 +17,18 @@ pub enum Budget {
     },
 }
 
+/// Which of the faces within the radius belong to a patch.
+///
+/// Paper: Sec. 4.1, Eq. 1. Choice: docs/choices.md#other-sheets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sheets {
+    /// All (the text).
+    All,
+    /// All but what is not connected to the centre within the patch and faces the other way, as the other side of a
+    /// thin wall does.
+    One,
+}
+
 /// Which faces vote for the frame of a patch.
 ///
 /// Paper: Sec. 4.2, Eq. 2. Choice: docs/choices.md#voting-region.
@@ -37,6 +49,8 @@ pub enum VotingRegion {
 pub struct PatchParams {
     /// The paper's k in r = k · sqrt(ā), without unit, 2 to 10.
     pub patch_scale: f64,
+    /// Which of the faces within the radius belong to the patch.
+    pub sheets: Sheets,
     /// Nodes of every patch, 16 to 512.
     pub n_nodes: usize,
     /// How a patch is fixed to `n_nodes`.
@@ -59,6 +73,7 @@ impl Default for PatchParams {
     fn default() -> Self {
         Self {
             patch_scale: 4.0,
+            sheets: Sheets::All,
             n_nodes: 64,
             budget: Budget::NearestFirst,
             voting_region: VotingRegion::Patch,

@@ -75,6 +75,9 @@ pub(crate) struct SelectScratch {
     pub(crate) two_ring: Vec<u32>,
     /// The patch: the centre, then the others by (distance of centroids, face id).
     pub(crate) candidates: Vec<Candidate>,
+    /// Faces whose neighbours are still to be looked at, and what is known of the parts of a patch.
+    pub(crate) frontier: Vec<u32>,
+    pub(crate) is_other_sheet: Vec<bool>,
 }
 
 impl SelectScratch {
@@ -85,6 +88,8 @@ impl SelectScratch {
             query: QueryScratch::new(),
             two_ring: Vec::new(),
             candidates: Vec::new(),
+            frontier: Vec::new(),
+            is_other_sheet: Vec::new(),
         }
     }
 }
