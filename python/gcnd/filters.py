@@ -15,8 +15,8 @@ from gcnd.runs import Denoised, Moved, run_on
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from gcnd.mesh_io import MeshArrays
     from gcnd.stages import Progress, Stages
+    from gcnd.surface import Surface
 
 __all__ = ["Filter", "FilterInfo", "apply_filter", "list_filters", "parse_parameters"]
 
@@ -132,15 +132,16 @@ class Filter:
     def run(self, mesh: Any, *, progress: Progress | None = None) -> Denoised:
         """Filters one mesh and returns all that is known of the result."""
 
-        def move(mesh: MeshArrays, stages: Stages) -> Moved:
+        def move(surface: Surface, stages: Stages) -> Moved:
             # Work around the origin: far away from it, single positions keep fewer digits than noise has.
-            origin = mesh.vertices.mean(axis=0)
-            topology = _geom.Topology(mesh.faces, len(mesh.vertices))
+            vertices = surface.mesh.vertices
+            origin = vertices.mean(axis=0)
 
             def report(iteration: int, total: int) -> None:
                 stages(iteration / total, self.method)
 
-            moved = _find(self.method)(topology, mesh.vertices - origin, progress=report, **self.parameters)
+            run = _find(self.method)
+            moved = run(surface.topology, vertices - origin, progress=report, **self.parameters)
             return Moved(moved + origin)
 
         parameters = {**_defaults(_find(self.method)), **self.parameters}

@@ -20,7 +20,7 @@ from gcnd.mesh_io import MeshArrays
 from gcnd.neighbors import sum_across_edges
 from gcnd.volume import enclosed_volumes, open_edges
 
-__all__ = ["check_report_path", "flipped_faces", "make_report", "noise_level", "write_report"]
+__all__ = ["check_report_path", "flipped_faces", "level_of", "make_report", "noise_level", "write_report"]
 
 Points = NDArray[np.float64]
 
@@ -126,9 +126,12 @@ def noise_level(topology: _geom.Topology, vertices: Points, faces: NDArray[np.ui
 
     Choice: docs/choices.md#mesh-roughness.
     """
-    edge = _geom.mean_edge_length(vertices, faces)
-    quartile = float(_geom.mesh_roughness(topology, vertices)[1])
-    return quartile / (_QUARTILE_AT_LEVEL_1 * edge) if edge else 0.0
+    return level_of(_geom.mesh_roughness(topology, vertices), _geom.mean_edge_length(vertices, faces))
+
+
+def level_of(roughness: NDArray[np.float64], edge: float) -> float:
+    """Returns `noise_level` of a mesh whose roughness (4,) and mean edge length are known, in one unit."""
+    return float(roughness[1]) / (_QUARTILE_AT_LEVEL_1 * edge) if edge else 0.0
 
 
 def check_report_path(path: Path, *others: Path) -> None:
