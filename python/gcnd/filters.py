@@ -79,6 +79,7 @@ def apply_filter(
     method: str,
     *,
     controls: Controls | None = None,
+    triangulate: bool = False,
     progress: Progress | None = None,
     **parameters: Any,
 ) -> Any:
@@ -88,9 +89,10 @@ def apply_filter(
     The input is left as it is.
 
     Args:
-        mesh: A ``trimesh.Trimesh``, a pair (vertices (V, 3), faces (F, 3)) of numpy or torch arrays, or a path.
+        mesh: As `gcnd.denoise` takes it.
         method: Name of the filter; ``list_filters`` has them.
         controls: How much of the result is wanted, and where; all of it, everywhere, by default.
+        triangulate: Whether faces of four corners and more are split for the work; they are refused otherwise.
         progress: Called after each iteration with (fraction done, the filter's name); returning False cancels, and
             what it raises stops the filter too.
         parameters: Of the filter, as ``list_filters`` has them; lengths in mesh units. What Python keeps for itself
@@ -112,7 +114,8 @@ def apply_filter(
         >>> bool((clean.faces == noisy.faces).all())
         True
     """
-    return Filter(method, controls=controls, **parameters).run(mesh, progress=progress).mesh
+    chosen = Filter(method, controls=controls, triangulate=triangulate, **parameters)
+    return chosen.run(mesh, progress=progress).mesh
 
 
 class Filter:
@@ -125,8 +128,15 @@ class Filter:
         ('taubin', 3, 320)
     """
 
-    def __init__(self, method: str, *, controls: Controls | None = None, **parameters: Any) -> None:
-        self.method, self.controls = method, controls or Controls()
+    def __init__(
+        self,
+        method: str,
+        *,
+        controls: Controls | None = None,
+        triangulate: bool = False,
+        **parameters: Any,
+    ) -> None:
+        self.method, self.controls, self.triangulate = method, controls or Controls(), triangulate
         self.parameters = _checked(method, _defaults(_find(method)), parameters)
 
     def run(self, mesh: Any, *, progress: Progress | None = None) -> Denoised:
@@ -145,7 +155,8 @@ class Filter:
             return Moved(moved + origin)
 
         parameters = {**_defaults(_find(self.method)), **self.parameters}
-        return run_on(mesh, move, self.controls, {"filter": self.method, "parameters": parameters}, progress)
+        described = {"filter": self.method, "parameters": parameters}
+        return run_on(mesh, move, self.controls, described, progress, self.triangulate)
 
 
 def parse_parameters(method: str, texts: Mapping[str, str]) -> dict[str, bool | int | float]:

@@ -72,7 +72,13 @@ class Denoised:
 
 
 class Method(Protocol):
-    """Anything with a ``run`` on one mesh: ``gcnd.Denoiser``, ``gcnd.filters.Filter``."""
+    """Anything with a ``run`` on one mesh: ``gcnd.Denoiser``, ``gcnd.filters.Filter``.
+
+    Attributes:
+        triangulate: Whether faces of four corners and more are split for the work.
+    """
+
+    triangulate: bool
 
     def run(self, mesh: Any, *, progress: Progress | None = None) -> Denoised:
         """Denoises one mesh."""
