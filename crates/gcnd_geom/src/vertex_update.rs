@@ -394,8 +394,15 @@ mod tests {
         let error = updated((vertices.clone(), faces.clone()), &[DVec3::NAN; 4], 1).unwrap_err();
         assert!(matches!(error, GeomError::InvalidParameter { name: "normals", .. }), "{error}");
         let topology = Topology::new(faces.clone(), 4).expect("valid");
-        let error =
-            update_vertices(&topology, &vertices[..3], &[DVec3::Z; 4], 1, Boundary::Free).unwrap_err();
+        let error = update_vertices(
+            &topology,
+            &vertices[..3],
+            &[DVec3::Z; 4],
+            1,
+            Boundary::Free,
+            &mut Watch::silent(),
+        )
+        .unwrap_err();
         assert_eq!(error, GeomError::LengthMismatch { what: "vertices", expected: 4, got: 3 });
         let mut broken = vertices;
         broken[2].y = f64::INFINITY;
