@@ -6,7 +6,7 @@ RUST_SOURCES := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml
 MODULE := python/gcnd/_geom.abi3.so
 WHEEL_OPTIONS := $(if $(filter Linux,$(shell uname -s)),--zig --compatibility manylinux_2_28)
 
-.PHONY: demo test test-rust test-python lint bench train docs wheel check-wheel blender audit clean
+.PHONY: demo test test-rust test-python lint bench train docs licences wheel check-wheel blender audit clean
 .DEFAULT_GOAL := demo
 
 # The virtual environment with everything that pyproject.toml names, once.
@@ -57,6 +57,10 @@ $(VENV)/.installed-%: $(VENV)/.installed
 docs: $(VENV)/.installed-docs
 	$(BIN)/mkdocs build --strict
 
+# The licence texts of the crates that end up in the wheel, anew; cargo may fetch the sources of other systems' crates.
+licences:
+	$(PYTHON) scripts/third_party_licenses.py
+
 # One wheel for CPython 3.10 and later, on Linux for glibc 2.28 and later, whatever glibc is here: zig links it.
 wheel: $(VENV)/.installed-wheel
 	rm -f dist/*.whl
@@ -64,6 +68,7 @@ wheel: $(VENV)/.installed-wheel
 
 # What is in the wheel, and a mesh denoised with it in an empty environment of every Python at hand.
 check-wheel: wheel
+	$(BIN)/python scripts/third_party_licenses.py --check
 	$(BIN)/python scripts/check_wheel.py dist
 
 # The Blender extension, into dist/: docs/plugins.md.

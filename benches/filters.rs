@@ -7,7 +7,7 @@ use gcnd_geom::face_geometry::FaceGeometry;
 use gcnd_geom::fixtures;
 use gcnd_geom::normals::{Neighborhood, RefineParams, refine_normals};
 use gcnd_geom::vertex_update::{Boundary, update_vertices};
-use gcnd_geom::{DVec3, Face, Topology};
+use gcnd_geom::{DVec3, Face, Topology, Watch};
 use std::hint::black_box;
 
 const VERTEX_ITERATIONS: usize = 15;
@@ -49,7 +49,8 @@ fn vertex_update(c: &mut Criterion) {
         group.throughput(Throughput::Elements((n_faces * VERTEX_ITERATIONS) as u64));
         group.bench_function(BenchmarkId::from_parameter(n_faces), |b| {
             b.iter(|| {
-                update_vertices(&topology, black_box(&vertices), &normals, VERTEX_ITERATIONS, Boundary::Free)
+                let (vertices, watch) = (black_box(&vertices), &mut Watch::silent());
+                update_vertices(&topology, vertices, &normals, VERTEX_ITERATIONS, Boundary::Free, watch)
             });
         });
     }
@@ -73,7 +74,10 @@ fn refine(c: &mut Criterion) {
             let params = RefineParams { iterations, neighborhood, ..RefineParams::default() };
             group.throughput(Throughput::Elements((n_faces * iterations) as u64));
             group.bench_function(BenchmarkId::new(name, n_faces), |b| {
-                b.iter(|| refine_normals(&topology, black_box(&vertices), &normals, &params));
+                b.iter(|| {
+                    let (vertices, watch) = (black_box(&vertices), &mut Watch::silent());
+                    refine_normals(&topology, vertices, &normals, &params, watch)
+                });
             });
         }
     }

@@ -34,7 +34,7 @@ WITHOUT_TORCH = (
     "typer>=0.15",
     "rich>=13",
 )
-LICENCES = ("LICENSE-MIT", "LICENSE-APACHE", "python/gcnd/viewer/three/LICENSE")
+LICENCES = ("LICENSE-MIT", "LICENSE-APACHE", "THIRD-PARTY-LICENSES", "python/gcnd/viewer/three/LICENSE")
 COMPILED = ("gcnd/_geom.abi3.so", "gcnd/_geom.pyd")
 
 PROGRAM = """

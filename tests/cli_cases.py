@@ -32,7 +32,8 @@ class FakeDenoiser:
     calls: list[dict[str, Any]]
     raised: BaseException | None = None
 
-    def __init__(self, preset: str, *, controls: Controls, **options: Any) -> None:
+    def __init__(self, preset: str, *, controls: Controls, triangulate: bool, **options: Any) -> None:
+        self.triangulate = triangulate
         self.call = {"preset": preset, **options, **controls.described()}
 
     def check_confidence(self) -> None:

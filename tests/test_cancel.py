@@ -5,12 +5,15 @@ The limits are three times what is promised, for machines with much to do beside
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +75,7 @@ def test_a_filter_stops_soon(large: Any) -> None:
 
 def test_batches_are_told_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     counts = []
-    for nodes in (1 << 9, 1 << 12):
+    for nodes in (1 << 7, 1 << 12):
         monkeypatch.setitem(gcnd.predict.PATCH_NODES_A_BATCH, "cpu", nodes)
         calls: list[float] = []
         Denoiser("fast").run(wave(60), progress=lambda fraction, _, calls=calls: calls.append(fraction))
@@ -150,13 +153,74 @@ def test_the_command_line_runs_in_any_thread(tmp_path: Path) -> None:
     assert codes == [1]
 
 
-def test_refinement_of_a_large_mesh_is_short_enough_not_to_ask(large: Any) -> None:
-    """The longest call that asks nobody, on a mesh of the size that the promise is about."""
-    vertices, faces = large
+# --- how often is asked ------------------------------------------------------------------------------
+
+
+class Enough(Exception):
+    """What a callback raises to stop."""
+
+
+def core_work(mesh: tuple[np.ndarray, np.ndarray]) -> dict[str, tuple[Callable[..., Any], int]]:
+    """The core's longest calls by name, each with the steps after which it asks."""
+    vertices, faces = mesh
     topology = _geom.Topology(faces, len(vertices))
     normals = _geom.face_geometry(vertices, faces)[0]
-    started = time.perf_counter()
-    _geom.refine_consistent(
-        topology, vertices, normals, np.full(len(faces), 0.01), iterations=12, tolerance=3.0, sigma_r=0.15
+    spread = np.full(len(faces), 0.01)
+    consistent = functools.partial(
+        _geom.refine_consistent, topology, vertices, normals, spread, iterations=12, tolerance=3.0
     )
-    assert time.perf_counter() - started < MARGIN * PROMISED
+    return {
+        "extractor": (functools.partial(_geom.PatchExtractor, topology, vertices, scale_space=True), 2 + 16),
+        "refine": (
+            functools.partial(_geom.refine_normals, topology, vertices, normals, iterations=12),
+            1 + 12,
+        ),
+        "consistent": (consistent, 1 + 12 + 2 * 20),
+        "update": (functools.partial(_geom.update_vertices, topology, vertices, normals, 15), 15),
+    }
+
+
+@pytest.mark.parametrize("name", ["extractor", "refine", "consistent", "update"])
+def test_the_core_asks_between_its_steps_and_does_none_after_a_no(name: str) -> None:
+    work, n_steps = core_work(wave(20))[name]
+    for last in (1, n_steps // 2, n_steps):
+        told: list[tuple[int, int]] = []
+
+        def progress(step: int, total: int, told: list[tuple[int, int]] = told, last: int = last) -> None:
+            told.append((step, total))
+            if step == last:
+                raise Enough
+
+        with pytest.raises(Enough):
+            work(progress=progress)
+        assert told == [(step, n_steps) for step in range(1, last + 1)]
+
+
+def test_a_run_stops_at_any_moment_and_asks_nothing_after_it() -> None:
+    mesh = wave(16)
+    denoiser = Denoiser()
+    stages: list[str] = []
+    expected = denoiser.run(mesh, progress=lambda _, stage: stages.append(stage)).after
+    for last in (*range(1, len(stages), len(stages) // 14), len(stages)):
+        asked: list[str] = []
+
+        def until(_: float, stage: str, asked: list[str] = asked, last: int = last) -> bool:
+            asked.append(stage)
+            return len(asked) < last
+
+        with pytest.raises(Cancelled):
+            denoiser.run(mesh, progress=until)
+        assert asked == stages[:last]
+    assert np.array_equal(denoiser.run(mesh).after, expected)
+
+
+def test_every_long_stage_of_a_run_asks_many_times() -> None:
+    asked: Counter[str] = Counter()
+    Denoiser().run(wave(24), progress=lambda _, stage: asked.update([stage]))
+    assert asked["preset"] >= 4
+    (*passes, last) = [count for stage, count in asked.items() if stage.startswith("vertices")]
+    # Updates after every pass, and the rounds of refinement at the last.
+    assert all(count >= 15 for count in passes)
+    assert last >= 15 + 40
+    # The tree and the scale space, besides the batches of patches.
+    assert all(count > 18 for stage, count in asked.items() if stage.startswith("normals"))

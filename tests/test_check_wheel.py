@@ -64,6 +64,7 @@ def test_a_sound_wheel_passes(tmp_path: Path, package: Path) -> None:
         ("gcnd/viewer/page.html", "missing: gcnd/viewer/page.html"),
         ("gcnd/_geom.abi3.so", "no compiled module"),
         (f"{INFO}/licenses/LICENSE-MIT", "no licence: LICENSE-MIT"),
+        (f"{INFO}/licenses/THIRD-PARTY-LICENSES", "no licence: THIRD-PARTY-LICENSES"),
         (
             f"{INFO}/licenses/python/gcnd/viewer/three/LICENSE",
             "no licence: python/gcnd/viewer/three/LICENSE",

@@ -281,10 +281,10 @@ def test_a_folder_of_them(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for name, data in FILES.items():
         (tmp_path / "in" / name).write_bytes(data)
-    taubin = Filter("taubin")
-    outcomes = denoise_many(tmp_path / "in", tmp_path / "out", denoiser=taubin, triangulate=True)
+    taubin = Filter("taubin", triangulate=True)
+    outcomes = denoise_many(tmp_path / "in", tmp_path / "out", denoiser=taubin)
     assert [outcome.status for outcome in outcomes] == ["done"] * 5
-    refused = denoise_many(tmp_path / "in", tmp_path / "other", denoiser=taubin)
+    refused = denoise_many(tmp_path / "in", tmp_path / "other", denoiser=Filter("taubin"))
     assert [outcome.status for outcome in refused] == ["failed"] * 5
     assert all(isinstance(outcome.error, MeshError) for outcome in refused)
 

@@ -116,6 +116,8 @@ def test_cancelling_keeps_what_is_done_and_leaves_nothing_half(folder: Path, tmp
 
 def test_a_mesh_that_fails_in_any_way_is_told(tmp_path: Path) -> None:
     class Broken:
+        triangulate = False
+
         def run(self, mesh: Any, *, progress: Any = None) -> Any:
             raise RuntimeError("no memory left for this") if len(mesh.faces) > 1 else KeyboardInterrupt
 

@@ -336,6 +336,12 @@ def test_output_must_not_be_the_input(tmp_path: Path) -> None:
             check_output_path(tmp_path / name, tmp_path / "a.ply")
     check_output_path(tmp_path / "b.ply", tmp_path / "a.ply")
     check_output_path(tmp_path / "a.ply", tmp_path / "does-not-exist.ply")
+    with pytest.raises(MeshError, match="another file of this run"):
+        check_output_path(tmp_path / "b.ply", tmp_path / "a.ply", tmp_path / "x" / ".." / "b.ply")
+    check_output_path(tmp_path / "a.json", tmp_path / "a.ply", is_mesh=False)
+    with pytest.raises(GcndError, match="is a folder") as caught:
+        check_output_path(tmp_path, is_mesh=False)
+    assert not isinstance(caught.value, MeshError)
 
 
 def test_output_folder_must_exist(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 import gcnd
+from gcnd import _geom
 from gcnd.cli import main
 from gcnd.data.noise import add_noise
 from gcnd.errors import MeshWarning
@@ -86,22 +87,26 @@ def test_each_component_keeps_its_greater_part() -> None:
     mesh = MeshArrays(
         np.concatenate([NOISY, NOISY + 5.0]), np.concatenate([MIXED, inside_out]).astype(np.uint32)
     )
-    oriented, told = as_surface(mesh)
+    oriented, topology, told = as_surface(mesh)
     assert np.array_equal(oriented.faces[: len(FACES)], FACES)
     assert np.array_equal(oriented.faces[len(FACES) :], inside_out)
+    expected = _geom.Topology(oriented.faces, len(mesh.vertices))
+    for rows, wanted in zip(topology.edge_neighbors(), expected.edge_neighbors(), strict=True):
+        assert np.array_equal(rows, wanted)
     assert len(told) == 1
     assert told[0].startswith("200 of 2,560 faces")
 
 
 def test_a_consistent_mesh_is_itself() -> None:
     mesh = MeshArrays(NOISY, FACES)
-    assert as_surface(mesh) == (mesh, ())
-    assert as_surface(mesh)[0] is mesh
+    surface = as_surface(mesh)
+    assert surface.mesh is mesh
+    assert surface.told == ()
 
 
 def test_a_one_sided_component_says_so() -> None:
     strip = moebius()
-    oriented, told = as_surface(strip)
+    oriented, _, told = as_surface(strip)
     assert disagreeing_edges(oriented.faces) == 1
     assert len(told) == 1
     assert "one-sided components" in told[0]

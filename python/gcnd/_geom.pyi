@@ -2,6 +2,9 @@
 
 Points are float64 (n, 3), faces uint32 (n, 3), all contiguous in C order. Errors are ``gcnd.errors.MeshError`` and,
 for parameters and array shapes, ``gcnd.errors.ConfigError``. Formulas and sources stand in the core's own docs.
+
+``progress`` is called after each step or iteration with (its number, how many there are); what it raises, or Ctrl-C,
+stops the work.
 """
 
 from collections.abc import Callable
@@ -13,7 +16,7 @@ from numpy.typing import NDArray
 Points = NDArray[np.float64]
 Faces = NDArray[np.uint32]
 Ids = NDArray[np.uint32]
-FilterProgress = Callable[[int, int], object]
+StepProgress = Callable[[int, int], object]
 
 class Topology:
     """Adjacency of a mesh, built once: vertex → faces and face → faces across an edge."""
@@ -47,6 +50,7 @@ class PatchExtractor:
         vertex_offsets: bool = True,
         scale_space: bool = False,
         roughness: NDArray[np.float64] | None = None,
+        progress: StepProgress | None = None,
     ) -> None: ...
     @property
     def n_channels(self) -> int: ...
@@ -133,6 +137,7 @@ def refine_normals(
     sigma_s: float | None = None,
     neighborhood: Literal["shared_vertex", "shared_edge", "radius"] = "shared_vertex",
     radius: float = 2.0,
+    progress: StepProgress | None = None,
 ) -> Points:
     """Bilateral refinement of normals (Eq. 5)."""
 
@@ -146,6 +151,7 @@ def refine_consistent(
     tolerance: float,
     sigma_r: float = 0.3,
     region_rounds: int = 20,
+    progress: StepProgress | None = None,
 ) -> Points:
     """Eq. 5 where it moves normals no further than the predictions disagree; ``spread`` (F,)."""
 
@@ -155,11 +161,12 @@ def update_vertices(
     normals: Points,
     iterations: int,
     boundary: Literal["free", "along", "fixed"] = "free",
+    *,
+    progress: StepProgress | None = None,
 ) -> Points:
     """Moves vertices to fit normals (Eq. 6); `boundary` as of the core's `Boundary`."""
 
-# The classical filters return positions (V, 3) and leave ``vertices`` as they are. ``progress`` is called after each
-# iteration with (iteration, total); what it raises, or Ctrl-C, stops the filter.
+# The classical filters return positions (V, 3) and leave ``vertices`` as they are.
 def bilateral_normal(
     topology: Topology,
     vertices: Points,
@@ -169,7 +176,7 @@ def bilateral_normal(
     normal_iterations: int = 20,
     vertex_iterations: int = 20,
     fix_boundary: bool = True,
-    progress: FilterProgress | None = None,
+    progress: StepProgress | None = None,
 ) -> Points: ...
 def bilateral_normal_implicit(
     topology: Topology,
@@ -180,7 +187,7 @@ def bilateral_normal_implicit(
     smoothness: float = 0.01,
     vertex_iterations: int = 20,
     fix_boundary: bool = True,
-    progress: FilterProgress | None = None,
+    progress: StepProgress | None = None,
 ) -> Points: ...
 def guided_normal(
     topology: Topology,
@@ -192,7 +199,7 @@ def guided_normal(
     normal_iterations: int = 20,
     vertex_iterations: int = 20,
     fix_boundary: bool = False,
-    progress: FilterProgress | None = None,
+    progress: StepProgress | None = None,
 ) -> Points: ...
 def fast_effective(
     topology: Topology,
@@ -202,7 +209,7 @@ def fast_effective(
     normal_iterations: int = 20,
     vertex_iterations: int = 50,
     fix_boundary: bool = True,
-    progress: FilterProgress | None = None,
+    progress: StepProgress | None = None,
 ) -> Points: ...
 def low_rank(
     topology: Topology,
@@ -215,7 +222,7 @@ def low_rank(
     normal_iterations: int = 1,
     vertex_iterations: int = 10,
     fix_boundary: bool = False,
-    progress: FilterProgress | None = None,
+    progress: StepProgress | None = None,
 ) -> Points: ...
 def tgv(
     topology: Topology,
@@ -227,10 +234,10 @@ def tgv(
     normal_iterations: int = 50,
     vertex_iterations: int = 20,
     fix_boundary: bool = False,
-    progress: FilterProgress | None = None,
+    progress: StepProgress | None = None,
 ) -> Points: ...
 def bilateral_mesh(
-    topology: Topology, vertices: Points, *, iterations: int = 5, progress: FilterProgress | None = None
+    topology: Topology, vertices: Points, *, iterations: int = 5, progress: StepProgress | None = None
 ) -> Points: ...
 def l0(
     topology: Topology,
@@ -242,7 +249,7 @@ def l0(
     beta: float = 0.001,
     beta_max: float = 1000.0,
     mu_beta: float = 1.4142135623730951,
-    progress: FilterProgress | None = None,
+    progress: StepProgress | None = None,
 ) -> Points: ...
 def laplacian(
     topology: Topology,
@@ -251,7 +258,7 @@ def laplacian(
     lambda_: float = 0.5,
     iterations: int = 10,
     fix_boundary: bool = True,
-    progress: FilterProgress | None = None,
+    progress: StepProgress | None = None,
 ) -> Points: ...
 def taubin(
     topology: Topology,
@@ -261,7 +268,7 @@ def taubin(
     mu: float = -0.53,
     iterations: int = 10,
     fix_boundary: bool = True,
-    progress: FilterProgress | None = None,
+    progress: StepProgress | None = None,
 ) -> Points: ...
 def hc_laplacian(
     topology: Topology,
@@ -271,7 +278,7 @@ def hc_laplacian(
     beta: float = 0.5,
     iterations: int = 10,
     fix_boundary: bool = True,
-    progress: FilterProgress | None = None,
+    progress: StepProgress | None = None,
 ) -> Points: ...
 def normal_angles(result: Points, truth: Points) -> NDArray[np.float64]:
     """Degrees (F,) between normals; NaN where the truth is zero, 90 where only the result is."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
@@ -155,32 +156,51 @@ def choose_preset(signs: Signs) -> Choice:
     )
 
 
-def read_signs(topology: _geom.Topology, vertices: Points, faces: Faces) -> Signs:
+def read_signs(
+    topology: _geom.Topology,
+    vertices: Points,
+    faces: Faces,
+    *,
+    roughness: NDArray[np.float64] | None = None,
+    ask: Callable[[], None] = lambda: None,
+) -> Signs:
     """Reads the signs of a mesh.
 
     Args:
         topology: Adjacency of the mesh.
         vertices: Positions (V, 3), mesh units, each position once.
         faces: Vertex ids (F, 3).
+        roughness: Of the mesh (4,), mesh units, as ``_geom.mesh_roughness`` gives it, where it is known.
+        ask: Called between the signs; what it raises stops the reading.
 
     Returns:
         The signs; of large meshes those of pixels, voxels and lines are those of an even sample.
 
     Choice: docs/choices.md#auto.
     """
-    from gcnd.report import noise_level
+    from gcnd.report import level_of
 
     # Squares of lengths must be numbers, whatever the unit.
     size = float(np.abs(vertices - vertices[0]).max())
-    vertices = (vertices - vertices[0]) / size if size > 0 else vertices
+    unit = size if size > 0 else 1.0
+    vertices = (vertices - vertices[0]) / unit if size > 0 else vertices
     edge = _geom.mean_edge_length(vertices, faces)
+    ask()
+    roughness = _geom.mesh_roughness(topology, vertices) if roughness is None else roughness / unit
     found = unevenness(vertices, faces)
+    correlation = _correlation(faces, found.offsets)
+    ask()
     lines = layer_lines(found, edge)
+    ask()
+    pixel_share = _pixel_share(vertices, faces[:: 1 + len(faces) // _MOST_SAMPLED])
+    ask()
+    voxel_share = _voxel_share(vertices[:: 1 + len(vertices) // _MOST_SAMPLED], edge)
+    ask()
     return Signs(
-        level=noise_level(topology, vertices, faces),
-        correlation=_correlation(faces, found.offsets),
-        pixel_share=_pixel_share(vertices, faces[:: 1 + len(faces) // _MOST_SAMPLED]),
-        voxel_share=_voxel_share(vertices[:: 1 + len(vertices) // _MOST_SAMPLED], edge),
+        level=level_of(roughness, edge),
+        correlation=correlation,
+        pixel_share=pixel_share,
+        voxel_share=voxel_share,
         area_ratio=_area_ratio(vertices, faces),
         line_share=lines.share,
         line_contrast=lines.contrast,

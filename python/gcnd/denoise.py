@@ -144,12 +144,13 @@ def denoise_arrays(
 ) -> NDArray[np.float64]:
     """Runs a cascade over arrays and returns denoised positions (V, 3).
 
-    Arguments as of ``clean_arrays``; ``progress`` as of ``denoise``.
+    Arguments as of ``clean_arrays``, with ``faces`` (F, 3); ``progress`` as of ``denoise``.
     """
     stages = Stages(progress)
+    stages(0.0, "adjacency")
     cleaned = clean_arrays(
         vertices,
-        faces,
+        _geom.Topology(faces, len(vertices)),
         cascade,
         device=device,
         seed=seed,
@@ -165,9 +166,10 @@ def denoise_arrays(
 
 def clean_arrays(
     vertices: NDArray[np.float64],
-    faces: NDArray[np.uint32],
+    topology: _geom.Topology,
     cascade: Cascade,
     *,
+    roughness: NDArray[np.float64] | None = None,
     device: torch.device | str,
     seed: int,
     normal_iterations: int | None,
@@ -180,8 +182,9 @@ def clean_arrays(
 
     Args:
         vertices: Positions (V, 3), mesh units, finite, each position once.
-        faces: Vertex ids (F, 3).
+        topology: Adjacency of the mesh.
         cascade: Networks with what they expect of patches.
+        roughness: Of the mesh, see `mesh_roughness`, where it is known.
         device: Where the cascade's weights are; the others as of ``denoise``.
         stages: Told how far the run has come.
 
@@ -200,11 +203,10 @@ def clean_arrays(
     given, origin = vertices, vertices.mean(axis=0)
     start = vertices = given - origin
     passes = cascade.passes()
-    stages(0.0, "adjacency")
-    topology = _geom.Topology(faces, len(vertices))
+    if cascade.sees_roughness and roughness is None:
+        roughness = mesh_roughness(topology, given)
     spikes = Spikes(topology, vertices)
     vertices = spikes.taken_off(vertices)
-    roughness = _geom.mesh_roughness(topology, vertices) if cascade.sees_roughness else None
     for index, (stage, network) in enumerate(passes):
         number = f"pass {index + 1} of {len(passes)}"
         prediction = predict_normals(
@@ -221,14 +223,20 @@ def clean_arrays(
         normals = prediction.normals
         stages((index + 1) / len(passes), f"vertices, {number}")
         if index == len(passes) - 1:
-            normals = refined(topology, vertices, prediction, refinement)
-            stages(1.0, f"vertices, {number}")
-        vertices = _geom.update_vertices(topology, vertices, normals, vertex_iterations, boundary)
+            normals = refined(topology, vertices, prediction, refinement, stages.ask)
+        vertices = _geom.update_vertices(
+            topology, vertices, normals, vertex_iterations, boundary, progress=stages.ask
+        )
     vertices = spikes.tips_put_back(vertices)
     overlaps = passes[-1][0].coverage is not None
     # The way there and back rounds: what did not move keeps its bits.
     moved = np.where((vertices == start).all(axis=1)[:, None], given, vertices + origin)
     return Cleaned(moved, agreement(topology, prediction.spread) if overlaps else None)
+
+
+def mesh_roughness(topology: _geom.Topology, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns how rough a mesh is (4,), bit for bit as `clean_arrays` finds it; see ``_geom.mesh_roughness``."""
+    return _geom.mesh_roughness(topology, vertices - vertices.mean(axis=0))
 
 
 def _part(stages: Stages, index: int, n_parts: int, label: str) -> Callable[[float], None]:

@@ -5,21 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from gcnd import _geom
 from gcnd.auto import AUTO, CANDIDATES, choose_preset, read_signs
 from gcnd.controls import Controls
-from gcnd.denoise import Boundary, clean_arrays
+from gcnd.denoise import Boundary, clean_arrays, mesh_roughness
 from gcnd.errors import ConfigError, WeightsError, check_count
 from gcnd.predict import fast_precision
 from gcnd.runs import Denoised, Moved, run_on
 from gcnd.weights import load_cascade, weights_hash
 
 if TYPE_CHECKING:
+    import numpy as np
     import torch
+    from numpy.typing import NDArray
 
-    from gcnd.mesh_io import MeshArrays
     from gcnd.nn.fold import Precision
     from gcnd.stages import Progress, Stages
+    from gcnd.surface import Surface
 
 __all__ = ["Denoiser"]
 
@@ -102,11 +103,16 @@ class Denoiser:
             Cancelled: ``progress`` returned False.
         """
 
-        def move(mesh: MeshArrays, stages: Stages) -> Moved:
-            chosen = self._choose(mesh)
-            cascade = self.cascades[chosen["preset"]]
+        def move(surface: Surface, stages: Stages) -> Moved:
+            chosen, roughness = self._choose(surface, stages)
             cleaned = clean_arrays(
-                mesh.vertices, mesh.faces, cascade, device=self.device, stages=stages, **self.settings
+                surface.mesh.vertices,
+                surface.topology,
+                self.cascades[chosen["preset"]],
+                roughness=roughness,
+                device=self.device,
+                stages=stages,
+                **self.settings,
             )
             return Moved(cleaned.vertices, cleaned.confidence, chosen)
 
@@ -114,14 +120,16 @@ class Denoiser:
         method["precision"] = self.settings["precision"] or fast_precision(self.device)
         return run_on(mesh, move, controls or self.controls, method, progress, self.triangulate)
 
-    def _choose(self, mesh: MeshArrays) -> dict[str, Any]:
-        """The preset for a mesh with what there is to say of it."""
+    def _choose(self, surface: Surface, stages: Stages) -> tuple[dict[str, Any], NDArray[np.float64] | None]:
+        """The preset for a mesh with what there is to say of it, and the roughness (4,) if it had to be found."""
         if self.preset != AUTO:
-            return {"preset": self.preset, "sha256": self.hashes[self.preset]}
-        topology = _geom.Topology(mesh.faces, len(mesh.vertices))
-        signs = read_signs(topology, mesh.vertices, mesh.faces)
+            return {"preset": self.preset, "sha256": self.hashes[self.preset]}, None
+        mesh, topology = surface.mesh, surface.topology
+        stages(0.0, "preset")
+        roughness = mesh_roughness(topology, mesh.vertices)
+        signs = read_signs(topology, mesh.vertices, mesh.faces, roughness=roughness, ask=stages.ask)
         choice = choose_preset(signs)
-        return {**choice.described(signs), "sha256": self.hashes[choice.preset]}
+        return {**choice.described(signs), "sha256": self.hashes[choice.preset]}, roughness
 
     def check_confidence(self) -> None:
         """Raises ``ConfigError`` where the weights predict each face once, so that there is nothing to compare."""

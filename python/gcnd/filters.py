@@ -15,8 +15,8 @@ from gcnd.runs import Denoised, Moved, run_on
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from gcnd.mesh_io import MeshArrays
     from gcnd.stages import Progress, Stages
+    from gcnd.surface import Surface
 
 __all__ = ["Filter", "FilterInfo", "apply_filter", "list_filters", "parse_parameters"]
 
@@ -79,6 +79,7 @@ def apply_filter(
     method: str,
     *,
     controls: Controls | None = None,
+    triangulate: bool = False,
     progress: Progress | None = None,
     **parameters: Any,
 ) -> Any:
@@ -88,9 +89,10 @@ def apply_filter(
     The input is left as it is.
 
     Args:
-        mesh: A ``trimesh.Trimesh``, a pair (vertices (V, 3), faces (F, 3)) of numpy or torch arrays, or a path.
+        mesh: As `gcnd.denoise` takes it.
         method: Name of the filter; ``list_filters`` has them.
         controls: How much of the result is wanted, and where; all of it, everywhere, by default.
+        triangulate: Whether faces of four corners and more are split for the work; they are refused otherwise.
         progress: Called after each iteration with (fraction done, the filter's name); returning False cancels, and
             what it raises stops the filter too.
         parameters: Of the filter, as ``list_filters`` has them; lengths in mesh units. What Python keeps for itself
@@ -112,7 +114,8 @@ def apply_filter(
         >>> bool((clean.faces == noisy.faces).all())
         True
     """
-    return Filter(method, controls=controls, **parameters).run(mesh, progress=progress).mesh
+    chosen = Filter(method, controls=controls, triangulate=triangulate, **parameters)
+    return chosen.run(mesh, progress=progress).mesh
 
 
 class Filter:
@@ -125,26 +128,35 @@ class Filter:
         ('taubin', 3, 320)
     """
 
-    def __init__(self, method: str, *, controls: Controls | None = None, **parameters: Any) -> None:
-        self.method, self.controls = method, controls or Controls()
+    def __init__(
+        self,
+        method: str,
+        *,
+        controls: Controls | None = None,
+        triangulate: bool = False,
+        **parameters: Any,
+    ) -> None:
+        self.method, self.controls, self.triangulate = method, controls or Controls(), triangulate
         self.parameters = _checked(method, _defaults(_find(method)), parameters)
 
     def run(self, mesh: Any, *, progress: Progress | None = None) -> Denoised:
         """Filters one mesh and returns all that is known of the result."""
 
-        def move(mesh: MeshArrays, stages: Stages) -> Moved:
+        def move(surface: Surface, stages: Stages) -> Moved:
             # Work around the origin: far away from it, single positions keep fewer digits than noise has.
-            origin = mesh.vertices.mean(axis=0)
-            topology = _geom.Topology(mesh.faces, len(mesh.vertices))
+            vertices = surface.mesh.vertices
+            origin = vertices.mean(axis=0)
 
             def report(iteration: int, total: int) -> None:
                 stages(iteration / total, self.method)
 
-            moved = _find(self.method)(topology, mesh.vertices - origin, progress=report, **self.parameters)
+            run = _find(self.method)
+            moved = run(surface.topology, vertices - origin, progress=report, **self.parameters)
             return Moved(moved + origin)
 
         parameters = {**_defaults(_find(self.method)), **self.parameters}
-        return run_on(mesh, move, self.controls, {"filter": self.method, "parameters": parameters}, progress)
+        described = {"filter": self.method, "parameters": parameters}
+        return run_on(mesh, move, self.controls, described, progress, self.triangulate)
 
 
 def parse_parameters(method: str, texts: Mapping[str, str]) -> dict[str, bool | int | float]:

@@ -74,7 +74,6 @@ class Wanted(NamedTuple):
 
     confidence: bool = False
     reports: bool = False
-    triangulate: bool = False
 
 
 def denoise_many(
@@ -85,7 +84,6 @@ def denoise_many(
     overwrite: bool = False,
     confidence: bool = False,
     reports: bool = False,
-    triangulate: bool = False,
     ray: bool = False,
     progress: Progress | None = None,
 ) -> list[Outcome]:
@@ -99,11 +97,11 @@ def denoise_many(
             takes them.
         output: Folder for the results, under the names of the inputs; made where missing. Needed for a folder; only for
             paths.
-        denoiser: What runs: a ``Denoiser``, by default with preset "auto", or a ``gcnd.filters.Filter``.
+        denoiser: What runs: a ``Denoiser``, by default with preset "auto", or a ``gcnd.filters.Filter``; with its
+            ``triangulate``, faces of more than three corners are split for the work, in files written whole again.
         overwrite: Whether to work again on what is done.
         confidence: Whether files get the confidence by face as an attribute; only PLY can hold it.
         reports: Whether outcomes have a report.
-        triangulate: Whether faces of more than three corners, in files, are split for the work and written whole again.
         ray: Whether to work on a Ray cluster, several at a time; see ``gcnd.cluster``; progress is by whole meshes.
         progress: Called with (fraction of all, the name at work and its number); returning False cancels all.
 
@@ -122,7 +120,7 @@ def denoise_many(
         ['done', 'failed']
     """
     jobs = _jobs(meshes, None if output is None else Path(output))
-    wanted = Wanted(confidence, reports, triangulate)
+    wanted = Wanted(confidence, reports)
     if denoiser is None:
         from gcnd.denoiser import Denoiser
 
@@ -275,16 +273,14 @@ def run_job(job: Job, denoiser: Method, wanted: Wanted, progress: Progress) -> O
     started = time.perf_counter()
     try:
         if job.output is None:
-            is_path = isinstance(job.mesh, str | os.PathLike)
-            mesh = load(job.mesh, triangulate=wanted.triangulate) if is_path else job.mesh
-            done = denoiser.run(mesh, progress=progress)
+            done = denoiser.run(job.mesh, progress=progress)
             return _done(job, started, done, wanted, denoised=done)
         if wanted.confidence:
             check_confidence_path(job.output)
         job.output.parent.mkdir(parents=True, exist_ok=True)
         check_output_path(job.output, job.mesh)
         is_same = job.output.suffix.lower() == job.mesh.suffix.lower()
-        mesh = load(job.mesh, shape_only=is_same, triangulate=wanted.triangulate)
+        mesh = load(job.mesh, shape_only=is_same, triangulate=denoiser.triangulate)
         check_polygons_path(mesh, job.mesh, job.output, wanted.confidence)
         done = denoiser.run(mesh, progress=progress)
         write_denoised(done, job.output, source=job.mesh, confidence=wanted.confidence)

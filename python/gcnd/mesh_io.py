@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gcnd.errors import MeshError
+from gcnd.errors import GcndError, MeshError
 from gcnd.formats.atomic import write_atomic, write_hint
 from gcnd.formats.beside import resolver_beside
 from gcnd.formats.export import encode
@@ -62,8 +62,8 @@ def to_arrays(mesh: Any, *, triangulate: bool = False) -> tuple[MeshArrays, Call
     Args:
         mesh: A trimesh.Trimesh, pyvista.PolyData, meshio.Mesh or open3d TriangleMesh, legacy or of tensors; a pair
             (vertices (V, 3), faces (F, 3)) of numpy arrays, torch tensors or lists; or the path of a mesh file.
-        triangulate: Whether faces of four corners and more, of a pair or a file, are split into triangles; a pair comes
-            back with its own faces.
+        triangulate: Whether faces of four corners and more, of a pair, a PolyData, a meshio.Mesh or a file, are split
+            into triangles; all but a file come back with their own faces.
 
     Returns:
         The arrays, and a function that takes vertices (V, 3) and returns the same kind of mesh with them and with all
@@ -144,7 +144,7 @@ def save(mesh: Any, path: MeshPath, *, like: MeshPath | None = None) -> None:
     import trimesh
 
     path = Path(path)
-    check_output_path(path, like)
+    check_output_path(path, *([] if like is None else [like]))
     files = None if like is None else _written_again(mesh, Path(like), path)
     if not isinstance(mesh, trimesh.Trimesh):
         arrays, _ = to_arrays(mesh)
@@ -177,29 +177,41 @@ def _written_again(mesh: Any, source: Path, path: Path) -> dict[Path, bytes] | N
     return _read(source, change)
 
 
-def check_output_path(path: MeshPath, input_path: MeshPath | None = None) -> None:
-    """Checks that a mesh can be written to `path`, to be called before any long work.
+def check_output_path(path: MeshPath, *others: MeshPath, is_mesh: bool = True) -> None:
+    """Checks that a file can be written to `path`, to be called before any long work.
 
     Args:
-        path: Where the mesh will be written.
-        input_path: The file it is made from, or None.
+        path: Where the file will be written.
+        others: Files of the run that it must not replace, first of all its input; they need not be there.
+        is_mesh: Whether it is a mesh, whose extension says the format.
 
     Raises:
         MeshError: If the extension is not supported; the folder does not exist or is not writable; `path` is
-            a folder or a write-protected file; or it is the input itself, under whatever name.
+            a folder or a write-protected file; or it is one of ``others``, under whatever name. Of what is no mesh, a
+            plain `GcndError`.
     """
     path = Path(path)
-    _known_extension(path)
+    error = MeshError if is_mesh else GcndError
+    if is_mesh:
+        _known_extension(path)
     folder = Path(os.path.realpath(path)).parent
     if path.is_dir():
-        raise MeshError(f"{path} is a folder, not a file", "add a file name to it")
+        raise error(f"{path} is a folder, not a file", "add a file name to it")
     if not folder.is_dir():
-        raise MeshError(f"cannot write {path}: the folder {folder} does not exist", f"mkdir -p {folder}")
-    both_exist = input_path is not None and path.exists() and os.path.exists(input_path)
-    if both_exist and os.path.samefile(path, str(input_path)):
-        raise MeshError(f"{path} is the input itself", "choose another name; the input is never changed")
+        raise error(f"cannot write {path}: the folder {folder} does not exist", f"mkdir -p {folder}")
+    if any(_is_same_file(path, Path(other)) for other in others):
+        raise error(
+            f"{path} is the input itself, or another file of this run",
+            "choose another name; the input is never changed",
+        )
     if not os.access(folder, os.W_OK | os.X_OK) or (path.exists() and not os.access(path, os.W_OK)):
-        raise MeshError(f"cannot write {path}: permission denied", "choose another folder or name")
+        raise error(f"cannot write {path}: permission denied", "choose another folder or name")
+
+
+def _is_same_file(path: Path, other: Path) -> bool:
+    if path.exists() and other.exists():
+        return os.path.samefile(path, other)
+    return os.path.realpath(path) == os.path.realpath(other)
 
 
 def _known_extension(path: Path) -> str:

@@ -101,8 +101,12 @@ def make_extractor(
     patch: PatchConfig,
     seed: int,
     roughness: NDArray[np.float64] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> _geom.PatchExtractor:
-    """Prepares patch extraction from a mesh as ``patch`` describes it; see `predict_normals` for ``roughness``."""
+    """Prepares patch extraction from a mesh as ``patch`` describes it; see `predict_normals` for ``roughness``.
+
+    ``progress`` is called after each step with (step, steps in all); what it raises stops the preparation.
+    """
     if patch.roughness and roughness is None:
         roughness = _geom.mesh_roughness(topology, vertices)
     return _geom.PatchExtractor(
@@ -118,6 +122,7 @@ def make_extractor(
         vertex_offsets=patch.vertex_offsets,
         scale_space=patch.scale_space,
         roughness=roughness if patch.roughness else None,
+        progress=progress,
     )
 
 
@@ -149,15 +154,20 @@ def predict_normals(
             ``vertices``.
         device: Where the network's weights are.
         precision: Of the network's linear layers and of what passes between them.
-        progress: Called with the fraction done, after every batch of patches; what it raises ends the prediction and
-            its threads.
+        progress: Called with the fraction done, while patches are prepared and after every batch of them; what it
+            raises ends the prediction and its threads.
 
     Returns:
         Normals and their spread.
 
     Paper: Sec. 5. Choice: docs/choices.md#cover.
     """
-    extractor = make_extractor(topology, vertices, stage.patch, seed, roughness)
+
+    def prepared(_: int, __: int) -> None:
+        if progress is not None:
+            progress(0.0)
+
+    extractor = make_extractor(topology, vertices, stage.patch, seed, roughness, prepared)
     accumulator = _geom.NormalAccumulator(topology.n_faces)
     chosen = (
         _every_face(topology.n_faces)
@@ -208,14 +218,19 @@ def refined(
     vertices: NDArray[np.float64],
     prediction: Prediction,
     refinement: RefinementConfig,
+    progress: Callable[[int, int], None] | None = None,
 ) -> NDArray[np.float64]:
     """Refines predicted normals (F, 3) by Eq. 5, everywhere or where the spread of the predictions allows it.
+
+    ``progress`` is called after each step with (step, steps in all); what it raises stops the refinement.
 
     Paper: Sec. 6.1. Choice: docs/choices.md#refinement.
     """
     m, sigma_r = refinement.iterations, refinement.sigma_r
     if refinement.tolerance is None:
-        return _geom.refine_normals(topology, vertices, prediction.normals, iterations=m, sigma_r=sigma_r)
+        return _geom.refine_normals(
+            topology, vertices, prediction.normals, iterations=m, sigma_r=sigma_r, progress=progress
+        )
     spread = np.minimum(prediction.spread, refinement.largest_spread or np.inf)
     return _geom.refine_consistent(
         topology,
@@ -225,6 +240,7 @@ def refined(
         iterations=m,
         sigma_r=sigma_r,
         tolerance=refinement.tolerance,
+        progress=progress,
     )
 
 

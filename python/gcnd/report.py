@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -20,7 +19,7 @@ from gcnd.mesh_io import MeshArrays
 from gcnd.neighbors import sum_across_edges
 from gcnd.volume import enclosed_volumes, open_edges
 
-__all__ = ["check_report_path", "flipped_faces", "make_report", "noise_level", "write_report"]
+__all__ = ["flipped_faces", "level_of", "make_report", "noise_level", "write_report"]
 
 Points = NDArray[np.float64]
 
@@ -126,30 +125,12 @@ def noise_level(topology: _geom.Topology, vertices: Points, faces: NDArray[np.ui
 
     Choice: docs/choices.md#mesh-roughness.
     """
-    edge = _geom.mean_edge_length(vertices, faces)
-    quartile = float(_geom.mesh_roughness(topology, vertices)[1])
-    return quartile / (_QUARTILE_AT_LEVEL_1 * edge) if edge else 0.0
+    return level_of(_geom.mesh_roughness(topology, vertices), _geom.mean_edge_length(vertices, faces))
 
 
-def check_report_path(path: Path, *others: Path) -> None:
-    """Checks that a report can be written to ``path``, to be called before any long work.
-
-    Args:
-        path: Where the report will be written.
-        others: Files of the run that it must not replace.
-
-    Raises:
-        GcndError: The folder does not exist or is not writable, or the path is a folder or one of ``others``.
-    """
-    folder = Path(os.path.realpath(path)).parent
-    if path.is_dir():
-        raise GcndError(f"{path} is a folder, not a file", "add a file name to it")
-    if not folder.is_dir():
-        raise GcndError(f"cannot write {path}: the folder {folder} does not exist", f"mkdir -p {folder}")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise GcndError(f"cannot write {path}: permission denied", "choose another folder")
-    if any(os.path.realpath(path) == os.path.realpath(other) for other in others):
-        raise GcndError(f"the report would replace {path}", "choose another name for the report")
+def level_of(roughness: NDArray[np.float64], edge: float) -> float:
+    """Returns `noise_level` of a mesh whose roughness (4,) and mean edge length are known, in one unit."""
+    return float(roughness[1]) / (_QUARTILE_AT_LEVEL_1 * edge) if edge else 0.0
 
 
 def write_report(path: Path, report: Any) -> None:

@@ -20,7 +20,7 @@ from gcnd.memory import check_memory
 from gcnd.mesh_io import MeshArrays, load, to_arrays
 from gcnd.report import make_report
 from gcnd.stages import Progress, Stages
-from gcnd.surface import as_surface
+from gcnd.surface import Surface, as_surface
 
 __all__ = ["Denoised", "Method", "Moved", "run_on"]
 
@@ -39,7 +39,7 @@ class Moved(NamedTuple):
     described: Mapping[str, Any] = MappingProxyType({})
 
 
-Move = Callable[[MeshArrays, Stages], Moved]
+Move = Callable[[Surface, Stages], Moved]
 """Takes a mesh with each position once, (V', 3), and says where its vertices go."""
 
 
@@ -72,7 +72,13 @@ class Denoised:
 
 
 class Method(Protocol):
-    """Anything with a ``run`` on one mesh: ``gcnd.Denoiser``, ``gcnd.filters.Filter``."""
+    """Anything with a ``run`` on one mesh: ``gcnd.Denoiser``, ``gcnd.filters.Filter``.
+
+    Attributes:
+        triangulate: Whether faces of four corners and more are split for the work.
+    """
+
+    triangulate: bool
 
     def run(self, mesh: Any, *, progress: Progress | None = None) -> Denoised:
         """Denoises one mesh."""
@@ -112,15 +118,19 @@ def run_on(
     arrays, rebuild = to_arrays(mesh, triangulate=triangulate)
     _geom.validate(arrays.vertices, arrays.faces)
     check_memory(len(arrays.vertices), len(arrays.faces))
+    stages.ask()
     mesh_once, finish = controls.bind(mesh, arrays)
-    mesh_once, told = as_surface(mesh_once)
-    for sentence in told:
+    stages(0.0, "adjacency")
+    surface = as_surface(mesh_once)
+    for sentence in surface.told:
         # Seen from here: the method's run, what called it, and the caller's own line.
         warnings.warn(sentence, MeshWarning, stacklevel=4)
-    moved = move(mesh_once, stages)
+    stages.ask()
+    moved = move(surface, stages)
     stages(1.0, "finishing")
     after = finish(moved.vertices)
+    stages.ask()
     result = rebuild(after)
     stages(1.0, "done")
     described = {**method, **moved.described, "controls": controls.described()}
-    return Denoised(result, moved.confidence, arrays, after, stages.seconds, described, told)
+    return Denoised(result, moved.confidence, arrays, after, stages.seconds, described, surface.told)

@@ -39,6 +39,7 @@ class Stages:
         self.seconds: dict[str, float] = {}
         self._progress = progress
         self._stage: str | None = None
+        self._fraction = 0.0
         self._since = time.perf_counter()
 
     def __call__(self, fraction: float, stage: str) -> None:
@@ -46,9 +47,18 @@ class Stages:
         now = time.perf_counter()
         if self._stage is not None:
             self.seconds[self._stage] += now - self._since
-        self._stage, self._since = stage, now
+        self._stage, self._fraction, self._since = stage, fraction, now
         self.seconds.setdefault(stage, 0.0)
         answer = None if self._progress is None else self._progress(fraction, stage)
         # Not every falsy value: tqdm's update and its like return None or counts.
         if isinstance(answer, bool | np.bool_) and not answer:
             raise Cancelled(f"cancelled at {fraction:.0%}".replace("%", " %") + f", {stage}")
+
+    def ask(self, *_: object) -> None:
+        """Asks once more, in the middle of a stage; takes what the core says of its own progress and leaves it.
+
+        Raises:
+            Cancelled: The callback answers False.
+        """
+        if self._stage is not None:
+            self(self._fraction, self._stage)

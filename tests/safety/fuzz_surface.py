@@ -107,7 +107,8 @@ def controls(rng: Rng, _: Path) -> bool:
     vertices, faces = wild.mesh(rng)
     options = random_controls(rng, len(vertices))
 
-    def move(mesh: Any, _: Any) -> Moved:
+    def move(surface: Any, _: Any) -> Moved:
+        mesh = surface.mesh
         with np.errstate(over="ignore"):
             step = rng.normal(size=mesh.vertices.shape) * rng.choice([0.0, 1e-3, 1.0, 1e6])
             moved = mesh.vertices + step * max(np.abs(mesh.vertices).max(), 1e-300)

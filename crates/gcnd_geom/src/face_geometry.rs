@@ -80,11 +80,14 @@ pub fn normal_and_area(v0: DVec3, v1: DVec3, v2: DVec3) -> (DVec3, f64) {
     if sine > COLLAPSED { (cross / sine, 0.5 * sine * length1 * length2) } else { (DVec3::ZERO, 0.0) }
 }
 
-/// Mean length of the unique edges of a mesh (the unit of noise levels), in mesh units.
+/// Mean length of the unique edges of a mesh (the unit of noise levels), in mesh units; zero for a mesh without one.
+///
+/// An edge from a vertex to itself, in a face that uses it twice, is none.
 pub fn mean_edge_length(vertices: &[DVec3], faces: &[Face]) -> f64 {
     let mut edges: Vec<[u32; 2]> = faces
         .iter()
         .flat_map(|&[a, b, c]| [[a.min(b), a.max(b)], [b.min(c), b.max(c)], [c.min(a), c.max(a)]])
+        .filter(|[a, b]| a != b)
         .collect();
     edges.par_sort_unstable();
     edges.dedup();
@@ -104,6 +107,13 @@ mod tests {
         assert_eq!(g.normals, [DVec3::Z, -DVec3::Z, DVec3::ZERO]);
         assert_eq!(g.areas, [0.5, 0.5, 0.0]);
         assert!((g.centroids[0] - DVec3::new(1.0, 1.0, 0.0) / 3.0).length() < 1e-15);
+    }
+
+    #[test]
+    fn edges_count_once_and_those_from_a_vertex_to_itself_not_at_all() {
+        let v = [DVec3::ZERO, DVec3::X, DVec3::new(1.0, 2.0, 0.0)];
+        assert_eq!(mean_edge_length(&v, &[[0, 0, 1], [1, 2, 1]]), 1.5);
+        assert_eq!(mean_edge_length(&v, &[[1, 1, 1]]), 0.0);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use crate::error::{Result, check_len};
 use crate::mesh::check_vertices;
 use crate::normals::refine::unit_normals;
 use crate::topology::Topology;
+use crate::watch::{Ticks, Watch};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -41,25 +42,26 @@ impl Boundary {
 /// - `iterations`: the paper takes 15; 0 returns the vertices as they are.
 ///
 /// - `boundary`: how vertices on a boundary move, see [`Boundary`].
+/// - `watch`: hears of every iteration.
 ///
 /// Returns (V) new positions, in mesh units. Faces, and the positions of vertices without faces, stay.
 /// All vertices of an iteration move at once, from the positions of the one before. A closed mesh has the same
 /// result, bit for bit, for every `boundary`.
 ///
 /// # Errors
-/// [`crate::GeomError::LengthMismatch`], [`crate::GeomError::NonFiniteVertex`], or
-/// [`crate::GeomError::InvalidParameter`] for a normal that is NaN or infinite.
+/// [`crate::GeomError::LengthMismatch`], [`crate::GeomError::NonFiniteVertex`],
+/// [`crate::GeomError::InvalidParameter`] for a normal that is NaN or infinite, or [`crate::GeomError::Cancelled`].
 ///
 /// Paper: Sec. 6.2, Eq. 6 (Sun et al. 2007).
 /// Choice: docs/choices.md#faces-without-normal, docs/choices.md#boundary-vertices.
 ///
 /// ```
-/// use gcnd_geom::{fixtures, vertex_update::{Boundary, update_vertices}, DVec3, Topology};
+/// use gcnd_geom::{fixtures, vertex_update::{Boundary, update_vertices}, DVec3, Topology, Watch};
 /// let (mut vertices, faces) = fixtures::grid(4, 4);
 /// vertices[12].z = 0.5;
 /// let normals = vec![DVec3::Z; faces.len()];
 /// let topology = Topology::new(faces, vertices.len())?;
-/// let updated = update_vertices(&topology, &vertices, &normals, 15, Boundary::Free)?;
+/// let updated = update_vertices(&topology, &vertices, &normals, 15, Boundary::Free, &mut Watch::silent())?;
 /// assert!(updated[12].z < 0.1 && updated[12].truncate() == vertices[12].truncate());
 /// # Ok::<(), gcnd_geom::GeomError>(())
 /// ```
@@ -69,14 +71,17 @@ pub fn update_vertices(
     normals: &[DVec3],
     iterations: usize,
     boundary: Boundary,
+    watch: &mut Watch<'_>,
 ) -> Result<Vec<DVec3>> {
     check_len("vertices", topology.n_vertices(), vertices.len())?;
     check_vertices(vertices)?;
     let normals = unit_normals(normals, topology.n_faces())?;
     let mut updater = VertexUpdater::new(topology, &normals, boundary);
     let mut current = vertices.to_vec();
+    let mut ticks = Ticks::new(iterations, watch);
     for _ in 0..iterations {
         updater.step(&mut current);
+        ticks.tick()?;
     }
     Ok(current)
 }
@@ -226,6 +231,7 @@ mod tests {
             normals,
             iterations,
             Boundary::Free,
+            &mut Watch::silent(),
         )
     }
 
@@ -319,7 +325,9 @@ mod tests {
         let mut normals = vec![DVec3::Z; faces.len()];
         fixtures::jitter(&mut normals, 0.3, 6);
         let topology = Topology::new(faces, vertices.len()).expect("valid");
-        let after = |boundary| update_vertices(&topology, &vertices, &normals, 1, boundary).expect("valid");
+        let after = |boundary| {
+            update_vertices(&topology, &vertices, &normals, 1, boundary, &mut Watch::silent()).expect("valid")
+        };
         let (free, along, fixed) = (after(Boundary::Free), after(Boundary::Along), after(Boundary::Fixed));
         let mut tangents = vec![DVec3::ZERO; vertices.len()];
         for [start, end] in topology.boundary_edges().map(|edge| edge.map(|v| v as usize)) {
@@ -357,7 +365,9 @@ mod tests {
         let normals = FaceGeometry::compute(&vertices, &faces).normals;
         vertices[1] += DVec3::new(0.2, 0.0, 0.1);
         let topology = Topology::new(faces, vertices.len()).expect("valid");
-        let moved = update_vertices(&topology, &vertices, &normals, 200, Boundary::Along).expect("valid");
+        let moved =
+            update_vertices(&topology, &vertices, &normals, 200, Boundary::Along, &mut Watch::silent())
+                .expect("valid");
         let ridge = moved[1] - moved[4];
         assert!(ridge.x.abs() < 0.02 && ridge.z.abs() < 0.02, "{ridge}");
         assert!(moved[1].y.abs() < 1e-3, "and the end of the roof where it was: {}", moved[1]);
@@ -369,7 +379,9 @@ mod tests {
         let normals = FaceGeometry::compute(&vertices, &faces).normals;
         fixtures::jitter(&mut vertices, 0.1, 3);
         let topology = Topology::new(faces, vertices.len()).expect("valid");
-        let after = |boundary| update_vertices(&topology, &vertices, &normals, 9, boundary).expect("valid");
+        let after = |boundary| {
+            update_vertices(&topology, &vertices, &normals, 9, boundary, &mut Watch::silent()).expect("valid")
+        };
         assert_eq!(after(Boundary::Along), after(Boundary::Free));
         assert_eq!(after(Boundary::Fixed), after(Boundary::Free));
     }
@@ -382,8 +394,15 @@ mod tests {
         let error = updated((vertices.clone(), faces.clone()), &[DVec3::NAN; 4], 1).unwrap_err();
         assert!(matches!(error, GeomError::InvalidParameter { name: "normals", .. }), "{error}");
         let topology = Topology::new(faces.clone(), 4).expect("valid");
-        let error =
-            update_vertices(&topology, &vertices[..3], &[DVec3::Z; 4], 1, Boundary::Free).unwrap_err();
+        let error = update_vertices(
+            &topology,
+            &vertices[..3],
+            &[DVec3::Z; 4],
+            1,
+            Boundary::Free,
+            &mut Watch::silent(),
+        )
+        .unwrap_err();
         assert_eq!(error, GeomError::LengthMismatch { what: "vertices", expected: 4, got: 3 });
         let mut broken = vertices;
         broken[2].y = f64::INFINITY;

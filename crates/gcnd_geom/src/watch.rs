@@ -1,4 +1,4 @@
-//! Watching a filter: how far it is, whether it goes astray, and stopping it.
+//! Watching what takes long: how far it is, whether it goes astray, and stopping it.
 
 use crate::error::{GeomError, Result, check_len};
 use crate::mesh::check_vertices;
@@ -10,7 +10,7 @@ use std::ops::ControlFlow;
 /// A filter's iteration and how many there will be; returns whether to go on.
 type Report<'a> = dyn FnMut(usize, usize) -> ControlFlow<()> + Send + 'a;
 
-/// Hears of every iteration of a filter and may stop it.
+/// Hears of every iteration of a filter, or of other long work, and may stop it.
 ///
 /// ```
 /// use gcnd_geom::smoothing::{LaplacianParams, laplacian};
@@ -43,6 +43,33 @@ impl<'a> Watch<'a> {
     }
 }
 
+/// Counts the iterations of one piece of work for whoever watches it.
+pub(crate) struct Ticks<'r, 'w> {
+    watch: &'r mut Watch<'w>,
+    total: usize,
+    iteration: usize,
+}
+
+impl<'r, 'w> Ticks<'r, 'w> {
+    /// Nothing is done yet of `total` iterations.
+    pub fn new(total: usize, watch: &'r mut Watch<'w>) -> Self {
+        Self { watch, total, iteration: 0 }
+    }
+
+    /// Counts an iteration.
+    ///
+    /// # Errors
+    /// [`GeomError::Cancelled`] with its number when whoever watches does not want to go on.
+    pub fn tick(&mut self) -> Result<()> {
+        self.iteration += 1;
+        let iteration = self.iteration;
+        match self.watch.report.as_mut().map(|report| report(iteration, self.total)) {
+            Some(ControlFlow::Break(())) => Err(GeomError::Cancelled { iteration }),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// Positions may leave the input's bounding box by so many times its longest side.
 const ROOM: f64 = 10.0;
 
@@ -51,9 +78,7 @@ const ROOM: f64 = 10.0;
 /// The unit is a power of two, so that changing to it and back is exact, and neither tiny nor huge meshes underflow
 /// or overflow in areas and squared lengths.
 pub(crate) struct Run<'r, 'w> {
-    watch: &'r mut Watch<'w>,
-    total: usize,
-    iteration: usize,
+    ticks: Ticks<'r, 'w>,
     /// Length in mesh units → length in the run's units.
     pub scale: f64,
     low: DVec3,
@@ -77,17 +102,13 @@ impl<'r, 'w> Run<'r, 'w> {
         let (low, high) = (low * scale, high * scale);
         let room = DVec3::splat(ROOM * (high - low).max_element());
         let positions = vertices.iter().map(|v| *v * scale).collect();
-        Ok((Self { watch, total, iteration: 0, scale, low: low - room, high: high + room }, positions))
+        let ticks = Ticks::new(total, watch);
+        Ok((Self { ticks, scale, low: low - room, high: high + room }, positions))
     }
 
     /// Counts an iteration that changed no positions.
     pub fn tick(&mut self) -> Result<()> {
-        self.iteration += 1;
-        let iteration = self.iteration;
-        match self.watch.report.as_mut().map(|report| report(iteration, self.total)) {
-            Some(ControlFlow::Break(())) => Err(GeomError::Cancelled { iteration }),
-            _ => Ok(()),
-        }
+        self.ticks.tick()
     }
 
     /// Counts an iteration, and stops if its positions are out of all bounds.
@@ -105,7 +126,7 @@ impl<'r, 'w> Run<'r, 'w> {
 
     /// What to return when the iteration at work cannot go on.
     pub fn diverged(&self) -> GeomError {
-        GeomError::Diverged { iteration: self.iteration + 1 }
+        GeomError::Diverged { iteration: self.ticks.iteration + 1 }
     }
 
     /// The positions in mesh units.

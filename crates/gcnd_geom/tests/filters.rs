@@ -5,7 +5,7 @@ use gcnd_geom::fixtures::{self, MeshParts};
 use gcnd_geom::metrics::{angles, normal_error, vertex_error};
 use gcnd_geom::normals::{Neighborhood, RefineParams, refine_normals};
 use gcnd_geom::vertex_update::{Boundary, update_vertices};
-use gcnd_geom::{DMat3, DVec3, Face, GeomError, Topology};
+use gcnd_geom::{DMat3, DVec3, Face, GeomError, Topology, Watch};
 use proptest::prelude::*;
 
 fn neighborhoods() -> impl Strategy<Value = Neighborhood> {
@@ -68,11 +68,12 @@ fn face_normals((vertices, faces): &MeshParts) -> Vec<DVec3> {
 }
 
 fn refined(mesh: &MeshParts, normals: &[DVec3], params: &RefineParams) -> Vec<DVec3> {
-    refine_normals(&topology(mesh), &mesh.0, normals, params).expect("valid")
+    refine_normals(&topology(mesh), &mesh.0, normals, params, &mut Watch::silent()).expect("valid")
 }
 
 fn updated(mesh: &MeshParts, normals: &[DVec3], iterations: usize) -> Vec<DVec3> {
-    update_vertices(&topology(mesh), &mesh.0, normals, iterations, Boundary::Free).expect("valid")
+    update_vertices(&topology(mesh), &mesh.0, normals, iterations, Boundary::Free, &mut Watch::silent())
+        .expect("valid")
 }
 
 fn largest_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
@@ -226,6 +227,9 @@ fn normals_of_another_mesh_are_refused() {
     let expected = GeomError::LengthMismatch { what: "normals", expected: 12, got: 11 };
     let normals = vec![DVec3::Z; 11];
     let params = RefineParams::default();
-    assert_eq!(refine_normals(&topology(&mesh), &mesh.0, &normals, &params), Err(expected.clone()));
-    assert_eq!(update_vertices(&topology(&mesh), &mesh.0, &normals, 1, Boundary::Free), Err(expected));
+    let (topology, mut watch) = (topology(&mesh), Watch::silent());
+    let refined = refine_normals(&topology, &mesh.0, &normals, &params, &mut watch);
+    assert_eq!(refined, Err(expected.clone()));
+    let updated = update_vertices(&topology, &mesh.0, &normals, 1, Boundary::Free, &mut watch);
+    assert_eq!(updated, Err(expected));
 }

@@ -1,8 +1,8 @@
 //! The classical filters: one function each, positions in, positions out, stopped by Ctrl-C or by their callback.
 
 use crate::arrays::{self, Points};
-use crate::errors::IntoPython;
 use crate::mesh::PyTopology;
+use crate::watched::watched;
 use gcnd_geom::normals::{
     BilateralNormalParams, FastEffectiveParams, GuidedNormalParams, ImplicitNormalParams, LowRankParams,
     TgvParams,
@@ -12,12 +12,10 @@ use gcnd_geom::{DVec3, Topology, Watch, normals, smoothing};
 use numpy::PyArray2;
 use pyo3::prelude::*;
 use std::f64::consts::SQRT_2;
-use std::ops::ControlFlow;
 
 type Positions<'py> = PyResult<Bound<'py, PyArray2<f64>>>;
 type Filter<P> = fn(&Topology, &[DVec3], &P, &mut Watch<'_>) -> gcnd_geom::Result<Vec<DVec3>>;
 
-/// Runs a filter without the GIL, which it takes after each iteration to ask whether to go on.
 fn run<'py, P: Sync>(
     py: Python<'py>,
     filter: Filter<P>,
@@ -28,27 +26,7 @@ fn run<'py, P: Sync>(
 ) -> Positions<'py> {
     let vertices = arrays::points("vertices", vertices)?;
     let topology = &topology.inner;
-    let mut raised = None;
-    let result = py.detach(|| {
-        let mut report = |iteration: usize, total: usize| {
-            let told = Python::attach(|py| {
-                py.check_signals()?;
-                progress.as_ref().map_or(Ok(()), |call| call.call1(py, (iteration, total)).map(drop))
-            });
-            match told {
-                Ok(()) => ControlFlow::Continue(()),
-                Err(error) => {
-                    raised = Some(error);
-                    ControlFlow::Break(())
-                }
-            }
-        };
-        filter(topology, vertices, params, &mut Watch::new(&mut report))
-    });
-    match raised {
-        Some(error) => Err(error),
-        None => arrays::triples(py, result.into_python()?),
-    }
+    arrays::triples(py, watched(py, progress, |watch| filter(topology, vertices, params, watch))?)
 }
 
 #[pyfunction]

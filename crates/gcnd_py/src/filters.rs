@@ -3,6 +3,7 @@
 use crate::arrays::{self, Faces, Points};
 use crate::errors::{ConfigError, IntoPython};
 use crate::mesh::PyTopology;
+use crate::watched::watched;
 use gcnd_geom::normals::{AdaptiveParams, Neighborhood, RefineParams};
 use gcnd_geom::remesh::RemeshParams;
 use gcnd_geom::vertex_update::{self, Boundary};
@@ -23,7 +24,7 @@ fn neighborhood_from(name: &str, radius: f64) -> PyResult<Neighborhood> {
 
 #[pyfunction]
 #[pyo3(signature = (topology, vertices, normals, *, iterations, sigma_r=0.3, sigma_s=None,
-                    neighborhood="shared_vertex", radius=2.0))]
+                    neighborhood="shared_vertex", radius=2.0, progress=None))]
 #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
 pub fn refine_normals<'py>(
     py: Python<'py>,
@@ -35,17 +36,20 @@ pub fn refine_normals<'py>(
     sigma_s: Option<f64>,
     neighborhood: &str,
     radius: f64,
+    progress: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let params =
         RefineParams { iterations, sigma_s, sigma_r, neighborhood: neighborhood_from(neighborhood, radius)? };
     let (vertices, input) = (arrays::points("vertices", &vertices)?, arrays::points("normals", &normals)?);
     let topology = &topology.inner;
-    let refined = py.detach(|| normals::refine_normals(topology, vertices, input, &params)).into_python()?;
+    let refined =
+        watched(py, progress, |watch| normals::refine_normals(topology, vertices, input, &params, watch))?;
     arrays::triples(py, refined)
 }
 
 #[pyfunction]
-#[pyo3(signature = (topology, vertices, normals, spread, *, iterations, tolerance, sigma_r=0.3, region_rounds=20))]
+#[pyo3(signature = (topology, vertices, normals, spread, *, iterations, tolerance, sigma_r=0.3, region_rounds=20,
+                    progress=None))]
 #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
 pub fn refine_consistent<'py>(
     py: Python<'py>,
@@ -57,13 +61,15 @@ pub fn refine_consistent<'py>(
     tolerance: f64,
     sigma_r: f64,
     region_rounds: usize,
+    progress: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let refine = RefineParams { iterations, sigma_r, ..RefineParams::default() };
     let params = AdaptiveParams { refine, tolerance, region_rounds };
     let (vertices, input) = (arrays::points("vertices", &vertices)?, arrays::points("normals", &normals)?);
     let (topology, spread) = (&topology.inner, spread.as_slice()?);
-    let refined =
-        py.detach(|| normals::refine_consistent(topology, vertices, input, spread, &params)).into_python()?;
+    let refined = watched(py, progress, |watch| {
+        normals::refine_consistent(topology, vertices, input, spread, &params, watch)
+    })?;
     arrays::triples(py, refined)
 }
 
@@ -77,7 +83,8 @@ fn boundary_from(name: &str) -> PyResult<Boundary> {
 }
 
 #[pyfunction]
-#[pyo3(signature = (topology, vertices, normals, iterations, boundary="free"))]
+#[pyo3(signature = (topology, vertices, normals, iterations, boundary="free", *, progress=None))]
+#[allow(clippy::too_many_arguments, reason = "arguments of the Python signature")]
 pub fn update_vertices<'py>(
     py: Python<'py>,
     topology: &PyTopology,
@@ -85,13 +92,14 @@ pub fn update_vertices<'py>(
     normals: Points<'py>,
     iterations: usize,
     boundary: &str,
+    progress: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let boundary = boundary_from(boundary)?;
     let (vertices, normals) = (arrays::points("vertices", &vertices)?, arrays::points("normals", &normals)?);
     let topology = &topology.inner;
-    let updated = py
-        .detach(|| vertex_update::update_vertices(topology, vertices, normals, iterations, boundary))
-        .into_python()?;
+    let updated = watched(py, progress, |watch| {
+        vertex_update::update_vertices(topology, vertices, normals, iterations, boundary, watch)
+    })?;
     arrays::triples(py, updated)
 }
 

@@ -8,6 +8,7 @@ mod filters;
 mod kernels;
 mod mesh;
 mod patches;
+mod watched;
 
 use pyo3::prelude::*;
 

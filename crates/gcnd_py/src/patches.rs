@@ -3,6 +3,7 @@
 use crate::arrays::{self, Points, slice, slice_mut};
 use crate::errors::{ConfigError, IntoPython};
 use crate::mesh::PyTopology;
+use crate::watched::watched;
 use gcnd_geom::patch::{
     self, Budget, Cover, NormalAccumulator, PatchBuffers, PatchExtractor, PatchParams, ROUGHNESS_QUANTILES,
     Sheets, VotingRegion,
@@ -74,7 +75,7 @@ impl PyPatchExtractor {
     #[new]
     #[pyo3(signature = (topology, vertices, *, patch_scale=4.0, sheets="all", n_nodes=64, budget="nearest", seed=0,
                         voting_region="patch", sigma_vote=1.0 / 3.0, vertex_offsets=true,
-                        scale_space=false, roughness=None))]
+                        scale_space=false, roughness=None, progress=None))]
     #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
     fn new(
         py: Python<'_>,
@@ -90,6 +91,7 @@ impl PyPatchExtractor {
         vertex_offsets: bool,
         scale_space: bool,
         roughness: Option<PyReadonlyArray1<'_, f64>>,
+        progress: Option<Py<PyAny>>,
     ) -> PyResult<Self> {
         let params = PatchParams {
             patch_scale,
@@ -104,13 +106,11 @@ impl PyPatchExtractor {
         };
         let vertices = arrays::points("vertices", &vertices)?.to_vec();
         let mesh = Mesh { topology: Arc::clone(&topology.inner), vertices };
-        let cell = py
-            .detach(|| {
-                ExtractorCell::try_new(mesh, |mesh| {
-                    PatchExtractor::new(&mesh.topology, &mesh.vertices, params)
-                })
+        let cell = watched(py, progress, |watch| {
+            ExtractorCell::try_new(mesh, |mesh| {
+                PatchExtractor::watched(&mesh.topology, &mesh.vertices, params, watch)
             })
-            .into_python()?;
+        })?;
         Ok(Self { cell })
     }
 

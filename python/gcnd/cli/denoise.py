@@ -65,10 +65,12 @@ class Request:
         if "method" in self.settings:
             from gcnd.filters import Filter
 
-            return Filter(self.settings["method"], controls=controls, **self.options)
+            name = self.settings["method"]
+            return Filter(name, controls=controls, triangulate=self.triangulate, **self.options)
         from gcnd.denoiser import Denoiser
 
-        denoiser = Denoiser(**self.settings, **self.options, controls=controls)
+        shared: dict[str, Any] = {"controls": controls, "triangulate": self.triangulate}
+        denoiser = Denoiser(**self.settings, **self.options, **shared)
         if self.confidence:
             denoiser.check_confidence()
         return denoiser
@@ -202,13 +204,13 @@ def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: b
     with nothing_to_lose():
         from gcnd.many import check_confidence_path, check_polygons_path, write_denoised
         from gcnd.mesh_io import check_output_path, load
-        from gcnd.report import check_report_path, write_report
+        from gcnd.report import write_report
 
         check_output_path(output_mesh, input_mesh)
         if request.confidence:
             check_confidence_path(output_mesh)
         if request.report is not None:
-            check_report_path(request.report, input_mesh, output_mesh)
+            check_output_path(request.report, input_mesh, output_mesh, is_mesh=False)
         start = time.perf_counter()
         # Before torch, which takes seconds to import: a wrong file should be told at once.
         is_same = input_mesh.suffix.lower() == output_mesh.suffix.lower()

@@ -46,14 +46,15 @@ def run_folder(
     """
     with nothing_to_lose():
         from gcnd.many import denoise_many
-        from gcnd.report import check_report_path, write_report
+        from gcnd.mesh_io import check_output_path
+        from gcnd.report import write_report
 
         if output_folder.exists() and not output_folder.is_dir():
             raise MeshError(
                 f"{output_folder} is a file, and {input_folder} a folder", "name a folder for the results"
             )
         if request.report is not None:
-            check_report_path(request.report)
+            check_output_path(request.report, is_mesh=False)
         method = request.method()
     # The table tells them, with the names of the files.
     with ignoring_warnings(), show_progress(quiet=quiet) as progress:
@@ -65,7 +66,6 @@ def run_folder(
             confidence=request.confidence,
             reports=request.report is not None,
             ray=ray,
-            triangulate=request.triangulate,
             progress=progress,
         )
     if request.report is not None:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
+from gcnd import _geom
 from gcnd.errors import ConfigError, MeshError
 
 FloatArray = npt.NDArray[np.float64]
@@ -44,10 +45,9 @@ def mean_edge_length(vertices: FloatArray, faces: AnyFaces) -> float:
         >>> float(round(mean_edge_length(square, np.array([[0, 1, 2], [0, 2, 3]])), 4))
         1.0828
     """
-    edges = _unique_edges(np.asarray(faces))
-    if len(edges) == 0:
-        return 0.0
-    return float(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1).mean())
+    return _geom.mean_edge_length(
+        np.ascontiguousarray(vertices, dtype=np.float64), np.ascontiguousarray(faces, dtype=np.uint32)
+    )
 
 
 def vertex_normals(vertices: FloatArray, faces: AnyFaces) -> FloatArray:

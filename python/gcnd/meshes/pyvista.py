@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcnd.errors import MeshError
+from gcnd.formats.parsed import DAMAGED_HINT, check_ids, triangles_of
+from gcnd.formats.polygons import Polygons
 from gcnd.meshes.arrays import TakenApart
 from gcnd.meshes.normals import Motion, renewed_columns
 from gcnd.meshes.registry import unknown_mesh
@@ -15,15 +17,17 @@ from gcnd.meshes.registry import unknown_mesh
 __all__ = ["take_apart"]
 
 _TRIANGULATE = "pass mesh.triangulate()"
+_SPLIT = "triangulate=True splits such faces for the work and returns them whole; or pass mesh.triangulate()"
 
 
-def take_apart(mesh: Any) -> TakenApart:
-    """Takes a PolyData of triangles apart; points keep their 32 or 64 bits.
+def take_apart(mesh: Any, *, triangulate: bool = False) -> TakenApart:
+    """Takes a PolyData apart; points keep their 32 or 64 bits. With ``triangulate`` faces may have more corners than
+    three; the mesh comes back with its own.
 
     Point, cell and field data stay. Normals are made anew: those that are active, and point data called so.
 
     Raises:
-        MeshError: It is another data set, or has cells other than triangles.
+        MeshError: It is another data set, or has cells other than triangles, or than faces.
     """
     import pyvista
 
@@ -36,29 +40,35 @@ def take_apart(mesh: Any) -> TakenApart:
             f"the PolyData has {mesh.n_verts} vertex cells and {mesh.n_lines} lines beside its faces",
             "pass pyvista.PolyData(mesh.points, faces=mesh.faces), which leaves them out",
         )
-    faces = _triangles(mesh)
     points = np.array(mesh.points)
+    faces, polygons = _triangles(mesh, points, triangulate)
 
     def rebuild(vertices: NDArray[np.float64]) -> Any:
         copy = mesh.copy(deep=True)
         copy.points = vertices.astype(points.dtype)
         if len(faces):
-            _renew_normals(copy, Motion(points, np.asarray(copy.points), faces))
+            _renew_normals(copy, Motion(points, np.asarray(copy.points), faces, polygons))
         return copy
 
     return TakenApart(points, faces, rebuild)
 
 
-def _triangles(mesh: Any) -> NDArray[np.int64]:
-    """The faces (F, 3), or an error that names the first that is no triangle."""
-    corners = np.diff(np.asarray(mesh.GetPolys().GetOffsetsArray()))
-    wrong = np.flatnonzero(corners != 3)
+def _triangles(
+    mesh: Any, points: NDArray[Any], triangulate: bool
+) -> tuple[NDArray[np.int64], Polygons | None]:
+    """The triangles (T, 3), and of which faces they are parts if some have more corners; without ``triangulate`` an
+    error names the first of those."""
+    cells = mesh.GetPolys()
+    lengths = np.diff(np.asarray(cells.GetOffsetsArray()).astype(np.int64))
+    ids = np.array(cells.GetConnectivityArray(), dtype=np.int64)
+    wrong = np.flatnonzero(lengths < 3 if triangulate else lengths != 3)
     if len(wrong):
-        raise MeshError(
-            f"face {wrong[0]} of the PolyData has {corners[wrong[0]]} corners, not 3",
-            _TRIANGULATE,
-        )
-    return np.array(mesh.faces, dtype=np.int64).reshape(-1, 4)[:, 1:]
+        corners = lengths[wrong[0]]
+        hint = _SPLIT if corners > 3 else DAMAGED_HINT
+        raise MeshError(f"face {wrong[0]} of the PolyData has {corners} corners, not 3", hint)
+    check_ids(ids, lengths, len(points))
+    corner_ids, polygons = triangles_of(points.astype(np.float64), ids, lengths)
+    return ids[corner_ids], polygons
 
 
 def _renew_normals(mesh: Any, motion: Motion) -> None:

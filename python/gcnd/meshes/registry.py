@@ -19,13 +19,16 @@ _ADAPTERS = {
 }
 """By library, the module whose ``take_apart`` takes its objects. A new library is a new file and a line here."""
 
+_WITH_POLYGONS = ("pyvista", "meshio")
+"""Libraries whose meshes may have faces of more than three corners; their ``take_apart`` is told ``triangulate``."""
+
 
 def take_apart(mesh: Any, *, triangulate: bool = False) -> TakenApart:
     """Takes a mesh object or a pair of arrays apart, by the adapter of its library.
 
     Args:
         mesh: An object of a library that has an adapter, of a class derived from one, or a pair (vertices, faces).
-        triangulate: Whether the faces of a pair may have more corners than three; they are split.
+        triangulate: Whether faces may have more corners than three; they are split.
 
     Returns:
         Its arrays, and how to put it together again.
@@ -38,10 +41,10 @@ def take_apart(mesh: Any, *, triangulate: bool = False) -> TakenApart:
 
         return take_pair(mesh, triangulate=triangulate)
     for kind in type(mesh).__mro__:
-        adapter = _ADAPTERS.get(kind.__module__.partition(".")[0])
-        if adapter is not None:
-            take: Callable[[Any], TakenApart] = import_module(adapter).take_apart
-            return take(mesh)
+        library = kind.__module__.partition(".")[0]
+        if library in _ADAPTERS:
+            take: Callable[..., TakenApart] = import_module(_ADAPTERS[library]).take_apart
+            return take(mesh, triangulate=triangulate) if library in _WITH_POLYGONS else take(mesh)
     raise unknown_mesh(mesh, "of a scene, pass one mesh")
 
 

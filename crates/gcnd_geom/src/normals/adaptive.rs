@@ -1,8 +1,9 @@
 //! Refinement that stops where it would take detail away.
 
 use crate::error::{GeomError, Result, check_len};
-use crate::normals::refine::{RefineParams, refine_normals, unit_normals};
+use crate::normals::refine::{RefineParams, refine_counted, unit_normals};
 use crate::topology::Topology;
+use crate::watch::{Ticks, Watch};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -55,22 +56,24 @@ impl AdaptiveParams {
 /// * `vertices` – positions (V), mesh units.
 /// * `normals` – predicted normals (F), any length; zero where unknown.
 /// * `spread` – disagreement of the predictions (F), as [`crate::patch::NormalAccumulator::spread`] gives it.
+/// * `watch` – hears of the steps of [`crate::normals::refine_normals`], then of every round of both averages.
 ///
 /// # Returns
 /// Unit normals (F); zero where nothing is known.
 ///
 /// # Errors
-/// Those of [`refine_normals`]; [`GeomError::LengthMismatch`] and [`GeomError::InvalidParameter`] for `spread`.
+/// Those of [`crate::normals::refine_normals`]; [`GeomError::LengthMismatch`] and [`GeomError::InvalidParameter`] for `spread`.
 ///
 /// Paper: Sec. 6.1, where m is chosen by hand for a mesh. Choice: docs/choices.md#refinement.
 ///
 /// ```
 /// use gcnd_geom::normals::{AdaptiveParams, refine_consistent};
-/// use gcnd_geom::{DVec3, Topology, fixtures};
+/// use gcnd_geom::{DVec3, Topology, Watch, fixtures};
 /// let (vertices, faces) = fixtures::grid(4, 4);
 /// let topology = Topology::new(faces, vertices.len())?;
 /// let (normals, spread) = (vec![DVec3::Z; 32], vec![0.05; 32]);
-/// let refined = refine_consistent(&topology, &vertices, &normals, &spread, &AdaptiveParams::default())?;
+/// let (params, mut watch) = (AdaptiveParams::default(), Watch::silent());
+/// let refined = refine_consistent(&topology, &vertices, &normals, &spread, &params, &mut watch)?;
 /// assert_eq!(refined, normals);
 /// # Ok::<(), gcnd_geom::GeomError>(())
 /// ```
@@ -80,6 +83,7 @@ pub fn refine_consistent(
     normals: &[DVec3],
     spread: &[f64],
     params: &AdaptiveParams,
+    watch: &mut Watch<'_>,
 ) -> Result<Vec<DVec3>> {
     params.validate()?;
     check_len("spread", topology.n_faces(), spread.len())?;
@@ -88,10 +92,13 @@ pub fn refine_consistent(
         return Err(GeomError::InvalidParameter { name: "spread", value, allowed: "0 or more" });
     }
     let predicted = unit_normals(normals, topology.n_faces())?;
-    let refined = refine_normals(topology, vertices, &predicted, &params.refine)?;
+    let total = params.refine.steps().saturating_add(params.region_rounds.saturating_mul(2));
+    let mut ticks = Ticks::new(total, watch);
+    let refined = refine_counted(topology, vertices, &predicted, &params.refine, &mut ticks)?;
     let moved = predicted.par_iter().zip(&refined).map(|(p, r)| p.distance_squared(*r)).collect();
-    let moved = regional_mean(topology, moved, params.region_rounds);
-    let spread = regional_mean(topology, spread.iter().map(|s| s * s).collect(), params.region_rounds);
+    let moved = regional_mean(topology, moved, params.region_rounds, &mut ticks)?;
+    let squares = spread.iter().map(|s| s * s).collect();
+    let spread = regional_mean(topology, squares, params.region_rounds, &mut ticks)?;
     let allowed = params.tolerance * params.tolerance;
     let blend = |(((p, r), moved), spread): (((&DVec3, &DVec3), &f64), &f64)| {
         let weight = if *moved == 0.0 { 1.0 } else { (-(moved / (allowed * spread)).powi(2)).exp() };
@@ -101,7 +108,12 @@ pub fn refine_consistent(
 }
 
 /// Averages a value over each face and its edge neighbours, `rounds` times.
-fn regional_mean(topology: &Topology, mut values: Vec<f64>, rounds: usize) -> Vec<f64> {
+fn regional_mean(
+    topology: &Topology,
+    mut values: Vec<f64>,
+    rounds: usize,
+    ticks: &mut Ticks<'_, '_>,
+) -> Result<Vec<f64>> {
     let mut next = vec![0.0; values.len()];
     for _ in 0..rounds {
         next.par_iter_mut().enumerate().with_min_len(CHUNK).for_each(|(face_id, mean)| {
@@ -110,8 +122,9 @@ fn regional_mean(topology: &Topology, mut values: Vec<f64>, rounds: usize) -> Ve
             *mean = (values[face_id] + sum) / (1 + neighbors.len()) as f64;
         });
         std::mem::swap(&mut values, &mut next);
+        ticks.tick()?;
     }
-    values
+    Ok(values)
 }
 
 #[cfg(test)]
@@ -141,7 +154,9 @@ mod tests {
     fn error_that_the_predictions_admit_is_refined_away() {
         let (topology, vertices, normals) = wavy(0.05);
         let spread = vec![0.2; normals.len()];
-        let result = refine_consistent(&topology, &vertices, &normals, &spread, &params()).expect("valid");
+        let result =
+            refine_consistent(&topology, &vertices, &normals, &spread, &params(), &mut Watch::silent())
+                .expect("valid");
         assert!(mean_error(&result) < 0.3 * mean_error(&normals));
     }
 
@@ -149,7 +164,9 @@ mod tests {
     fn shape_that_the_predictions_agree_on_stays() {
         let (topology, vertices, normals) = wavy(0.05);
         let spread = vec![0.005; normals.len()];
-        let result = refine_consistent(&topology, &vertices, &normals, &spread, &params()).expect("valid");
+        let result =
+            refine_consistent(&topology, &vertices, &normals, &spread, &params(), &mut Watch::silent())
+                .expect("valid");
         for (result, normal) in result.iter().zip(&normals) {
             assert!(result.distance(*normal) < 1e-6);
         }
@@ -159,7 +176,9 @@ mod tests {
     fn no_spread_at_all_keeps_the_predictions() {
         let (topology, vertices, normals) = wavy(0.05);
         let spread = vec![0.0; normals.len()];
-        let result = refine_consistent(&topology, &vertices, &normals, &spread, &params()).expect("valid");
+        let result =
+            refine_consistent(&topology, &vertices, &normals, &spread, &params(), &mut Watch::silent())
+                .expect("valid");
         for (result, normal) in result.iter().zip(&normals) {
             assert!(result.distance(*normal) < 1e-12);
         }
@@ -170,7 +189,8 @@ mod tests {
         let (topology, vertices, normals) = wavy(0.05);
         let run = |spread: &[f64], tolerance| {
             let params = AdaptiveParams { tolerance, ..params() };
-            refine_consistent(&topology, &vertices, &normals, spread, &params).unwrap_err()
+            refine_consistent(&topology, &vertices, &normals, spread, &params, &mut Watch::silent())
+                .unwrap_err()
         };
         let good = vec![0.1; normals.len()];
         assert!(matches!(run(&good, 0.0), GeomError::InvalidParameter { name: "tolerance", .. }));

@@ -5,6 +5,7 @@ use crate::mesh::check_vertices;
 use crate::normals::kernel::{CHUNK, Filter, OwnNormal, STORED_BYTES_PER_FACE, unit_or_zero};
 use crate::normals::neighborhood::Neighborhood;
 use crate::topology::Topology;
+use crate::watch::{Ticks, Watch};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -46,6 +47,11 @@ impl RefineParams {
         }
         Ok(())
     }
+
+    /// What [`refine_normals`] tells a watch of: the weights, then every iteration.
+    pub(crate) fn steps(&self) -> usize {
+        if self.iterations == 0 { 0 } else { self.iterations.saturating_add(1) }
+    }
 }
 
 /// Smooths face normals along the surface but not across edges, `iterations` times:
@@ -55,6 +61,7 @@ impl RefineParams {
 /// - `topology`, `vertices` (V), in mesh units: the mesh whose areas a and centroids c weight the sum; they
 ///   do not change during refinement.
 /// - `normals` (F): the predicted normals in the frame of `vertices`, of any length; zero where unknown.
+/// - `watch`: hears when the weights are there and of every iteration, 1 + `iterations` in all.
 ///
 /// Returns (F) unit normals. An unknown normal adds nothing to its neighbours and becomes their mean under
 /// a_j · W_s; where nothing is known within Ω_i it stays zero.
@@ -68,19 +75,19 @@ impl RefineParams {
 /// 256 bytes a face and 64 MiB in all: there weights are computed anew in each iteration.
 ///
 /// # Errors
-/// [`GeomError::LengthMismatch`], [`GeomError::NonFiniteVertex`], or [`GeomError::InvalidParameter`] for
-/// parameters out of range and for a normal that is NaN or infinite.
+/// [`GeomError::LengthMismatch`], [`GeomError::NonFiniteVertex`], [`GeomError::InvalidParameter`] for
+/// parameters out of range and for a normal that is NaN or infinite, or [`GeomError::Cancelled`].
 ///
 /// Paper: Sec. 6.1, Eq. 5; Ω as in Zhang et al. 2015.
 /// Choice: docs/choices.md#refine-neighborhood, docs/choices.md#faces-without-normal.
 ///
 /// ```
-/// use gcnd_geom::{fixtures, normals::{refine_normals, RefineParams}, DVec3, Topology};
+/// use gcnd_geom::{fixtures, normals::{refine_normals, RefineParams}, DVec3, Topology, Watch};
 /// let (vertices, faces) = fixtures::grid(4, 4);
 /// let mut normals = vec![DVec3::Z; faces.len()];
 /// normals[10] = DVec3::new(0.1, 0.0, 1.0);
 /// let topology = Topology::new(faces, vertices.len())?;
-/// let refined = refine_normals(&topology, &vertices, &normals, &RefineParams::default())?;
+/// let refined = refine_normals(&topology, &vertices, &normals, &RefineParams::default(), &mut Watch::silent())?;
 /// assert!(refined[10].angle_between(DVec3::Z) < 0.03);
 /// # Ok::<(), gcnd_geom::GeomError>(())
 /// ```
@@ -89,6 +96,18 @@ pub fn refine_normals(
     vertices: &[DVec3],
     normals: &[DVec3],
     params: &RefineParams,
+    watch: &mut Watch<'_>,
+) -> Result<Vec<DVec3>> {
+    refine_counted(topology, vertices, normals, params, &mut Ticks::new(params.steps(), watch))
+}
+
+/// [`refine_normals`] as a part of longer work.
+pub(crate) fn refine_counted(
+    topology: &Topology,
+    vertices: &[DVec3],
+    normals: &[DVec3],
+    params: &RefineParams,
+    ticks: &mut Ticks<'_, '_>,
 ) -> Result<Vec<DVec3>> {
     params.validate()?;
     check_len("vertices", topology.n_vertices(), vertices.len())?;
@@ -101,10 +120,12 @@ pub fn refine_normals(
     // Rows that serve only once are not worth storing.
     let share = if params.iterations > 1 { STORED_BYTES_PER_FACE } else { 0 };
     let rows = filter.stored_rows(share);
+    ticks.tick()?;
     let mut next = vec![DVec3::ZERO; current.len()];
     for _ in 0..params.iterations {
         filter.iterate(&current, &mut next, &rows);
         std::mem::swap(&mut current, &mut next);
+        ticks.tick()?;
     }
     Ok(current)
 }

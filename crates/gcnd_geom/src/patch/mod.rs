@@ -40,6 +40,7 @@ use crate::error::{GeomError, Result, check_len};
 use crate::face_geometry::FaceGeometry;
 use crate::mesh::check_vertices;
 use crate::topology::Topology;
+use crate::watch::{Ticks, Watch};
 use glam::{DMat3, DVec3};
 use graph::{PatchRow, PatchView, write_graph};
 use rayon::prelude::*;
@@ -126,16 +127,36 @@ impl<'a> PatchExtractor<'a> {
     /// [`GeomError::EmptyMesh`], [`GeomError::LengthMismatch`] when `topology` counts other vertices,
     /// [`GeomError::NonFiniteVertex`], [`GeomError::InvalidParameter`].
     pub fn new(topology: &'a Topology, vertices: &'a [DVec3], params: PatchParams) -> Result<Self> {
+        Self::watched(topology, vertices, params, &mut Watch::silent())
+    }
+
+    /// [`PatchExtractor::new`], watched: `watch` hears of the geometry, the tree and every iteration of the scale space.
+    ///
+    /// # Errors
+    /// Those of [`PatchExtractor::new`], and [`GeomError::Cancelled`].
+    pub fn watched(
+        topology: &'a Topology,
+        vertices: &'a [DVec3],
+        params: PatchParams,
+        watch: &mut Watch<'_>,
+    ) -> Result<Self> {
         params.validate()?;
         check_len("vertices", topology.n_vertices(), vertices.len())?;
         if topology.n_faces() == 0 {
             return Err(GeomError::EmptyMesh);
         }
         check_vertices(vertices)?;
+        let iterations = if params.scale_space { SCALES[SCALES.len() - 1] } else { 0 };
+        let mut ticks = Ticks::new(2 + iterations, watch);
         let geometry = FaceGeometry::compute(vertices, topology.faces());
+        ticks.tick()?;
         let tree = VertexTree::new(topology, vertices);
-        let scale_space =
-            if params.scale_space { scale_space_normals(topology, vertices) } else { Vec::new() };
+        ticks.tick()?;
+        let scale_space = if params.scale_space {
+            scale_space_normals(topology, vertices, &mut ticks)?
+        } else {
+            Vec::new()
+        };
         Ok(Self { topology, vertices, geometry, tree, scale_space, params })
     }
 

@@ -7,6 +7,7 @@ use crate::mesh::check_vertices;
 use crate::topology::Topology;
 use glam::DVec3;
 use rayon::prelude::*;
+use std::ops::RangeInclusive;
 
 /// Shares of the vertices that are smoother than what the channels say.
 pub const ROUGHNESS_QUANTILES: [f64; 4] = [0.1, 0.25, 0.5, 0.9];
@@ -14,8 +15,8 @@ pub const ROUGHNESS_QUANTILES: [f64; 4] = [0.1, 0.25, 0.5, 0.9];
 /// Smallest and largest roughness that is told apart, in √ā.
 const RANGE: (f64, f64) = (1e-4, 10.0);
 
-/// Beyond it sums and squares may leave the range of numbers.
-const LARGEST_COORDINATE: f64 = 1e100;
+/// Sums and squares of coordinates within it stay in the range of numbers.
+const COORDINATES: RangeInclusive<f64> = 1e-100..=1e100;
 
 /// Quantiles of |n_i · (M − 1)² v_i| over the vertices in mesh units, for the shares in [`ROUGHNESS_QUANTILES`].
 ///
@@ -44,7 +45,7 @@ pub fn mesh_roughness(topology: &Topology, vertices: &[DVec3]) -> Result<[f64; R
     }
     check_vertices(vertices)?;
     let largest = vertices.iter().fold(0.0_f64, |most, v| most.max(v.abs().max_element()));
-    if largest > LARGEST_COORDINATE {
+    if largest > 0.0 && !COORDINATES.contains(&largest) {
         let near: Vec<DVec3> = vertices.iter().map(|&v| v / largest).collect();
         return Ok(mesh_roughness(topology, &near)?.map(|roughness| roughness * largest));
     }
@@ -110,15 +111,17 @@ mod tests {
     }
 
     #[test]
-    fn coordinates_near_the_end_of_the_range_of_numbers() {
+    fn coordinates_near_the_ends_of_the_range_of_numbers() {
         let (mut vertices, faces) = fixtures::icosphere(3);
         fixtures::jitter(&mut vertices, 0.02, 5);
         let topology = Topology::new(faces, vertices.len()).expect("valid");
         let expected = mesh_roughness(&topology, &vertices).expect("valid");
-        let far: Vec<DVec3> = vertices.iter().map(|&v| v * 8e307).collect();
-        let found = mesh_roughness(&topology, &far).expect("valid");
-        for k in 0..4 {
-            assert!((found[k] / 8e307 / expected[k] - 1.0).abs() < 1e-9, "{found:?} {expected:?}");
+        for scale in [8e307, 1e-300] {
+            let scaled: Vec<DVec3> = vertices.iter().map(|&v| v * scale).collect();
+            let found = mesh_roughness(&topology, &scaled).expect("valid");
+            for k in 0..4 {
+                assert!((found[k] / scale / expected[k] - 1.0).abs() < 1e-9, "{found:?} {expected:?}");
+            }
         }
     }
 

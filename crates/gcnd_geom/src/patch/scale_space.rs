@@ -1,7 +1,9 @@
 //! The normals of a mesh at several scales: what a face looks like once its surroundings are averaged.
 
+use crate::error::Result;
 use crate::face_geometry::normal_and_area;
 use crate::topology::Topology;
+use crate::watch::Ticks;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -19,10 +21,14 @@ const CHUNK: usize = 4096;
 ///
 /// Where triangles are small against the noise their own normals say little, and these say more. A face that has no
 /// area when smoothed, or 10⁻¹² of what it had, as on a small component that shrinks to a point, has a zero normal
-/// there; vertices without faces stay.
+/// there; vertices without faces stay. `ticks` counts the iterations, as many as the last of [`SCALES`].
 ///
 /// Choice: docs/choices.md#features.
-pub(crate) fn scale_space_normals(topology: &Topology, vertices: &[DVec3]) -> Vec<[DVec3; SCALES.len()]> {
+pub(crate) fn scale_space_normals(
+    topology: &Topology,
+    vertices: &[DVec3],
+    ticks: &mut Ticks<'_, '_>,
+) -> Result<Vec<[DVec3; SCALES.len()]>> {
     let mut normals = vec![[DVec3::ZERO; SCALES.len()]; topology.n_faces()];
     let mut centroids = vec![DVec3::ZERO; topology.n_faces()];
     let mut current = vertices.to_vec();
@@ -33,6 +39,7 @@ pub(crate) fn scale_space_normals(topology: &Topology, vertices: &[DVec3]) -> Ve
             place_centroids(topology, &current, &mut centroids);
             average(topology, &current, &centroids, &mut next);
             std::mem::swap(&mut current, &mut next);
+            ticks.tick()?;
         }
         done = iterations;
         normals.par_iter_mut().zip(topology.faces()).with_min_len(CHUNK).for_each(|(normals, face)| {
@@ -45,7 +52,7 @@ pub(crate) fn scale_space_normals(topology: &Topology, vertices: &[DVec3]) -> Ve
             normals[scale] = if kept { normal } else { DVec3::ZERO };
         });
     }
-    normals
+    Ok(normals)
 }
 
 pub(super) fn place_centroids(topology: &Topology, vertices: &[DVec3], centroids: &mut [DVec3]) {
@@ -69,6 +76,11 @@ pub(super) fn average(topology: &Topology, current: &[DVec3], centroids: &[DVec3
 mod tests {
     use super::*;
     use crate::fixtures;
+    use crate::watch::Watch;
+
+    fn normals_at_scales(topology: &Topology, vertices: &[DVec3]) -> Vec<[DVec3; SCALES.len()]> {
+        scale_space_normals(topology, vertices, &mut Ticks::new(16, &mut Watch::silent())).expect("goes on")
+    }
 
     #[test]
     fn a_tetrahedron_shrinks_to_a_point_by_hand() {
@@ -78,7 +90,7 @@ mod tests {
         let topology = Topology::new(faces.clone(), 4).expect("valid");
         for (scale, shift) in [(1.0, DVec3::ZERO), (1.37, DVec3::new(3.0, -2.0, 5.0)), (1e-6, DVec3::X)] {
             let placed: Vec<DVec3> = vertices.iter().map(|&v| scale * v + shift).collect();
-            let normals = scale_space_normals(&topology, &placed);
+            let normals = normals_at_scales(&topology, &placed);
             for (face, at_scales) in faces.iter().zip(&normals) {
                 let [a, b, c] = face.map(|v| placed[v as usize]);
                 let own = normal_and_area(a, b, c).0;
@@ -95,7 +107,7 @@ mod tests {
         let spike = 21 * 10 + 10;
         vertices[spike].z = 1.0;
         let topology = Topology::new(faces, vertices.len()).expect("valid");
-        let normals = scale_space_normals(&topology, &vertices);
+        let normals = normals_at_scales(&topology, &vertices);
         let face_id = topology.vertex_faces().row(spike)[0] as usize;
         let tilt = normals[face_id].map(|normal| normal.angle_between(DVec3::Z).to_degrees());
         assert!(tilt[0] > 10.0 && tilt[0] < 45.0, "{tilt:?}");
@@ -109,6 +121,6 @@ mod tests {
     fn faces_without_area_and_vertices_without_faces_give_no_nan() {
         let vertices = vec![DVec3::ZERO, DVec3::X, 2.0 * DVec3::X, DVec3::splat(7.0)];
         let topology = Topology::new(vec![[0, 1, 2]], 4).expect("valid");
-        assert_eq!(scale_space_normals(&topology, &vertices), [[DVec3::ZERO; 3]]);
+        assert_eq!(normals_at_scales(&topology, &vertices), [[DVec3::ZERO; 3]]);
     }
 }

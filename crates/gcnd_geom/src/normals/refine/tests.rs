@@ -9,7 +9,13 @@ fn params(iterations: usize, neighborhood: Neighborhood) -> RefineParams {
 }
 
 fn refined(mesh: &(Vec<DVec3>, Vec<Face>), normals: &[DVec3], params: &RefineParams) -> Result<Vec<DVec3>> {
-    refine_normals(&Topology::new(mesh.1.clone(), mesh.0.len())?, &mesh.0, normals, params)
+    refine_normals(
+        &Topology::new(mesh.1.clone(), mesh.0.len())?,
+        &mesh.0,
+        normals,
+        params,
+        &mut Watch::silent(),
+    )
 }
 
 /// Ω of one face under a neighbourhood, without the face.

@@ -1,0 +1,83 @@
+//! Stopping long work: whoever watches is asked after every step, and nothing is done after a no.
+
+use gcnd_geom::face_geometry::FaceGeometry;
+use gcnd_geom::fixtures;
+use gcnd_geom::normals::{AdaptiveParams, RefineParams, refine_consistent, refine_normals};
+use gcnd_geom::patch::{PatchExtractor, PatchParams};
+use gcnd_geom::vertex_update::{Boundary, update_vertices};
+use gcnd_geom::{DVec3, GeomError, Result, Topology, Watch};
+use std::ops::ControlFlow;
+
+/// Stops `work` at each of its steps in turn, and checks that all steps are told and none after the stop.
+fn assert_stops_anywhere(steps: usize, work: impl Fn(&mut Watch<'_>) -> Result<()>) {
+    for last in 1..=steps + 1 {
+        let mut told = Vec::new();
+        let mut report = |iteration, total| {
+            told.push((iteration, total));
+            if iteration < last { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        };
+        let result = work(&mut Watch::new(&mut report));
+        let expected = if last > steps { Ok(()) } else { Err(GeomError::Cancelled { iteration: last }) };
+        assert_eq!(result, expected);
+        let all: Vec<_> = (1..=last.min(steps)).map(|iteration| (iteration, steps)).collect();
+        assert_eq!(told, all);
+    }
+}
+
+struct Noisy {
+    topology: Topology,
+    vertices: Vec<DVec3>,
+    normals: Vec<DVec3>,
+}
+
+fn noisy() -> Noisy {
+    let (mut vertices, faces) = fixtures::icosphere(3);
+    fixtures::jitter(&mut vertices, 0.02, 7);
+    let normals = FaceGeometry::compute(&vertices, &faces).normals;
+    Noisy { topology: Topology::new(faces, vertices.len()).expect("valid"), vertices, normals }
+}
+
+#[test]
+fn refinement_asks_after_its_weights_and_every_iteration() {
+    let Noisy { topology, vertices, normals } = noisy();
+    for (iterations, steps) in [(0, 0), (1, 2), (12, 13)] {
+        let params = RefineParams { iterations, ..RefineParams::default() };
+        assert_stops_anywhere(steps, |watch| {
+            refine_normals(&topology, &vertices, &normals, &params, watch).map(drop)
+        });
+    }
+}
+
+#[test]
+fn consistent_refinement_asks_in_its_averages_too() {
+    let Noisy { topology, vertices, normals } = noisy();
+    let spread = vec![0.01; normals.len()];
+    for (iterations, steps) in [(0, 10), (3, 14)] {
+        let refine = RefineParams { iterations, ..RefineParams::default() };
+        let params = AdaptiveParams { refine, tolerance: 1.0, region_rounds: 5 };
+        assert_stops_anywhere(steps, |watch| {
+            refine_consistent(&topology, &vertices, &normals, &spread, &params, watch).map(drop)
+        });
+    }
+}
+
+#[test]
+fn vertex_updating_asks_after_every_iteration() {
+    let Noisy { topology, vertices, normals } = noisy();
+    for iterations in [0, 15] {
+        assert_stops_anywhere(iterations, |watch| {
+            update_vertices(&topology, &vertices, &normals, iterations, Boundary::Along, watch).map(drop)
+        });
+    }
+}
+
+#[test]
+fn preparing_patches_asks_after_the_geometry_the_tree_and_every_smoothing() {
+    let Noisy { topology, vertices, .. } = noisy();
+    for (scale_space, steps) in [(false, 2), (true, 18)] {
+        let params = PatchParams { scale_space, ..PatchParams::default() };
+        assert_stops_anywhere(steps, |watch| {
+            PatchExtractor::watched(&topology, &vertices, params, watch).map(drop)
+        });
+    }
+}
