@@ -196,6 +196,14 @@ def test_no_arguments_show_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(name in shown for name in ("denoise", "noise", "evaluate", "info", "models", "--version"))
 
 
+def test_brackets_in_the_help_are_no_markup(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main(["denoise", "--help"]) == 0
+    assert "gcnd[ray]" in capsys.readouterr().out
+
+
 # --- noise, evaluate, info, models -------------------------------------------------------------------
 
 

@@ -61,6 +61,12 @@ def moved_by(options: dict[str, Any], preset: str) -> np.ndarray:
     return denoise((VERTICES, FACES), preset=preset, **options)[0]
 
 
+@pytest.mark.parametrize("precision", ["float16", "int8", 32])
+def test_other_precisions_are_refused(precision: Any) -> None:
+    with pytest.raises(ConfigError, match="precision is .*, allowed: float32, bfloat16 or None"):
+        Denoiser("fast", precision=precision)
+
+
 def test_it_gives_what_the_function_gives(preset: str) -> None:
     options: dict[str, Any] = {"seed": 3, "normal_iterations": 1, "vertex_iterations": 4}
     denoiser = Denoiser(preset, **options)

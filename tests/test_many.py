@@ -182,8 +182,9 @@ def test_a_folder_ends_with_a_table_and_1_if_one_failed(
     assert "cannot read" in table[1]
     assert table[-1] == "3 done, 0 skipped, 1 failed"
     assert run_folder(folder, "-q") == 1
-    (failed, counts) = capsys.readouterr().err.splitlines()
+    (failed, hint, counts) = capsys.readouterr().err.splitlines()
     assert failed.startswith("failed ")
+    assert "--overwrite" in hint
     assert counts == "0 done, 3 skipped, 1 failed"
     (folder / "b.ply").unlink()
     assert run_folder(folder, "-q") == 0

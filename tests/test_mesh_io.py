@@ -176,9 +176,11 @@ def test_other_objects_are_refused_with_a_hint(thing: object) -> None:
 def test_missing_folder_and_unknown_files(tmp_path: Path) -> None:
     (tmp_path / "empty.ply").touch()
     (tmp_path / "folder.ply").mkdir()
+    (tmp_path / "plain").mkdir()
     for name, message in [
         ("missing.ply", "no such file"),
         ("folder.ply", "is a folder"),
+        ("plain", "is a folder"),
         ("empty.ply", "is empty"),
         ("a.xyz", "unknown mesh format '.xyz'"),
         ("noextension", "no file extension"),
@@ -348,8 +350,9 @@ def test_output_folder_must_exist(tmp_path: Path) -> None:
     with pytest.raises(MeshError, match="does not exist"):
         check_output_path(tmp_path / "no" / "a.ply")
     (tmp_path / "folder.ply").mkdir()
-    with pytest.raises(MeshError, match="is a folder"):
-        check_output_path(tmp_path / "folder.ply")
+    for folder in (tmp_path / "folder.ply", tmp_path):
+        with pytest.raises(MeshError, match="is a folder"):
+            check_output_path(folder)
 
 
 def test_protected_output_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

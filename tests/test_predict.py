@@ -101,6 +101,29 @@ def test_an_error_in_a_batch_or_a_callback_ends_all_threads() -> None:
     assert threading.active_count() == alive
 
 
+class Narrow(OwnNormals):
+    """Has memory for so many patches at once."""
+
+    def __init__(self, at_most: int):
+        super().__init__()
+        self.at_most = at_most
+
+    def forward(self, features: Tensor, neighbors: Tensor) -> Tensor:
+        if len(features) > self.at_most:
+            raise torch.OutOfMemoryError("CUDA out of memory")
+        return super().forward(features, neighbors)
+
+
+def test_a_device_short_of_memory_gets_smaller_batches() -> None:
+    wide, narrow = OwnNormals(), Narrow(3)
+    expected = predict_normals(TOPOLOGY, VERTICES, STAGE, wide)
+    found = predict_normals(TOPOLOGY, VERTICES, STAGE, narrow)
+    assert np.array_equal(found.normals, expected.normals)
+    assert narrow.n_patches == wide.n_patches > 3
+    with pytest.raises(torch.OutOfMemoryError):
+        predict_normals(TOPOLOGY, VERTICES, STAGE, Narrow(0))
+
+
 def test_cover_says_what_it_cannot_take() -> None:
     predictions = _geom.NormalAccumulator(5)
     cover = _geom.Cover(5, 1.0, 0)

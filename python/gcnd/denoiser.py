@@ -9,6 +9,7 @@ from gcnd.auto import AUTO, CANDIDATES, choose_preset, read_signs
 from gcnd.controls import Controls
 from gcnd.denoise import Boundary, clean_arrays, mesh_roughness
 from gcnd.errors import ConfigError, WeightsError, check_count
+from gcnd.nn.fold import Precision
 from gcnd.predict import fast_precision
 from gcnd.runs import Denoised, Moved, run_on
 from gcnd.weights import load_cascade, weights_hash
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from gcnd.nn.fold import Precision
     from gcnd.stages import Progress, Stages
     from gcnd.surface import Surface
 
@@ -64,6 +64,8 @@ class Denoiser:
     ) -> None:
         if boundary not in get_args(Boundary):
             raise ConfigError(f"boundary is {boundary!r}, allowed: {', '.join(get_args(Boundary))}")
+        if precision is not None and precision not in get_args(Precision):
+            raise ConfigError(f"precision is {precision!r}, allowed: {', '.join(get_args(Precision))} or None")
         check_count("seed", seed)
         check_count("normal_iterations", normal_iterations)
         check_count("vertex_iterations", vertex_iterations)

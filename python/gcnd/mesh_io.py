@@ -192,11 +192,11 @@ def check_output_path(path: MeshPath, *others: MeshPath, is_mesh: bool = True) -
     """
     path = Path(path)
     error = MeshError if is_mesh else GcndError
+    if path.is_dir():
+        raise error(f"{path} is a folder, not a file", "add a file name to it")
     if is_mesh:
         _known_extension(path)
     folder = Path(os.path.realpath(path)).parent
-    if path.is_dir():
-        raise error(f"{path} is a folder, not a file", "add a file name to it")
     if not folder.is_dir():
         raise error(f"cannot write {path}: the folder {folder} does not exist", f"mkdir -p {folder}")
     if any(_is_same_file(path, Path(other)) for other in others):
@@ -224,6 +224,8 @@ def _known_extension(path: Path) -> str:
 
 def _read(path: Path, parse: Callable[[bytes], Result]) -> Result:
     """What ``parse`` makes of a file's bytes; an error names the file and its format."""
+    if path.is_dir():
+        raise MeshError(f"{path} is a folder, not a mesh file", "name a file in it")
     extension = _known_extension(path)
     data = _read_bytes(path)
     try:
@@ -256,8 +258,6 @@ def _built(data: bytes, path: Path, shape_only: bool, triangulate: bool) -> trim
 
 
 def _read_bytes(path: Path) -> bytes:
-    if path.is_dir():
-        raise MeshError(f"{path} is a folder, not a mesh file")
     if path.exists() and not path.is_file():
         # A device or a pipe may never end.
         raise MeshError(f"{path} is no regular file", "write the mesh to a file first")

@@ -285,10 +285,20 @@ class PatchPredictor:
     def _one_batch(self, centers: NDArray[np.uint32]) -> PatchPrediction:
         patches = PatchArrays(len(centers), self.patch)
         patches.fill(self.extractor, centers)
-        features = torch.from_numpy(patches.features).to(self.device)
-        neighbors = torch.from_numpy(patches.neighbors).to(self.device)
-        predicted: torch.Tensor = self.network(features, neighbors)
-        return PatchPrediction(centers, patches, predicted.cpu().numpy())
+        features, neighbors = torch.from_numpy(patches.features), torch.from_numpy(patches.neighbors)
+        return PatchPrediction(centers, patches, self._predicted(features, neighbors).numpy())
+
+    def _predicted(self, features: torch.Tensor, neighbors: torch.Tensor) -> torch.Tensor:
+        """Runs the network; where the device has no memory for so many patches, on half of them at a time."""
+        try:
+            normals: torch.Tensor = self.network(features.to(self.device), neighbors.to(self.device))
+            return normals.cpu()
+        except torch.OutOfMemoryError:
+            if len(features) == 1:
+                raise
+        middle = len(features) // 2
+        parts = (slice(None, middle), slice(middle, None))
+        return torch.cat([self._predicted(features[part], neighbors[part]) for part in parts])
 
 
 def _one_thread() -> None:

@@ -158,7 +158,7 @@ def run(
         bool, typer.Option("--overwrite", help="For a folder: work again on what is done.")
     ] = False,
     ray: Annotated[
-        bool, typer.Option("--ray", help="For a folder: work on a Ray cluster (gcnd[ray]).")
+        bool, typer.Option("--ray", help="For a folder: work on a Ray cluster (gcnd\\[ray]).")
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
     as_json: JsonFlag = False,

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = ["run_folder"]
 
+SKIPPED_HINT = "skipped results were there already, whatever their settings; --overwrite makes them again"
+
 
 def run_folder(
     input_folder: Path,
@@ -78,6 +80,8 @@ def run_folder(
         counts = [
             (status, sum(o.status == status for o in outcomes)) for status in ("done", "skipped", "failed")
         ]
+        if dict(counts)["skipped"]:
+            print(SKIPPED_HINT, file=sys.stderr)
         print(", ".join(f"{count} {status}" for status, count in counts), file=sys.stderr)
     if failed:
         raise typer.Exit(1)
