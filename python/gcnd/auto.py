@@ -168,7 +168,7 @@ def read_signs(
 
     Args:
         topology: Adjacency of the mesh.
-        vertices: Positions (V, 3), mesh units, each position once.
+        vertices: Positions (V, 3), mesh units, each once: those of a `Start`, for one far off would hide the others.
         faces: Vertex ids (F, 3).
         roughness: Of the mesh (4,), mesh units, as ``_geom.mesh_roughness`` gives it, where it is known.
         ask: Called between the signs; what it raises stops the reading.

@@ -15,8 +15,8 @@ from gcnd import _geom
 from gcnd.auto import AUTO
 from gcnd.controls import Controls
 from gcnd.predict import agreement, fast_precision, predict_normals, refined
-from gcnd.spikes import Spikes
 from gcnd.stages import Progress, Stages
+from gcnd.start import Start
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -148,9 +148,10 @@ def denoise_arrays(
     """
     stages = Stages(progress)
     stages(0.0, "adjacency")
+    topology = _geom.Topology(faces, len(vertices))
     cleaned = clean_arrays(
-        vertices,
-        _geom.Topology(faces, len(vertices)),
+        Start(topology, vertices),
+        topology,
         cascade,
         device=device,
         seed=seed,
@@ -165,7 +166,7 @@ def denoise_arrays(
 
 
 def clean_arrays(
-    vertices: NDArray[np.float64],
+    start: Start,
     topology: _geom.Topology,
     cascade: Cascade,
     *,
@@ -181,10 +182,10 @@ def clean_arrays(
     """Runs a cascade over arrays; the line of ``denoise`` between reading and writing.
 
     Args:
-        vertices: Positions (V, 3), mesh units, finite, each position once.
+        start: Positions to work from, mesh units, each once.
         topology: Adjacency of the mesh.
         cascade: Networks with what they expect of patches.
-        roughness: Of the mesh, see `mesh_roughness`, where it is known.
+        roughness: Of ``start.positions`` (4,), as ``_geom.mesh_roughness`` gives it, where it is known.
         device: Where the cascade's weights are; the others as of ``denoise``.
         stages: Told how far the run has come.
 
@@ -199,14 +200,10 @@ def clean_arrays(
     refinement = cascade.config.refinement
     if normal_iterations is not None:
         refinement = replace(refinement, iterations=normal_iterations, tolerance=None)
-    # Work around the origin: far away from it, single positions keep fewer digits than noise has.
-    given, origin = vertices, vertices.mean(axis=0)
-    start = vertices = given - origin
+    vertices = start.positions
     passes = cascade.passes()
     if cascade.sees_roughness and roughness is None:
-        roughness = mesh_roughness(topology, given)
-    spikes = Spikes(topology, vertices)
-    vertices = spikes.taken_off(vertices)
+        roughness = _geom.mesh_roughness(topology, vertices)
     for index, (stage, network) in enumerate(passes):
         number = f"pass {index + 1} of {len(passes)}"
         prediction = predict_normals(
@@ -227,16 +224,9 @@ def clean_arrays(
         vertices = _geom.update_vertices(
             topology, vertices, normals, vertex_iterations, boundary, progress=stages.ask
         )
-    vertices = spikes.tips_put_back(vertices)
     overlaps = passes[-1][0].coverage is not None
-    # The way there and back rounds: what did not move keeps its bits.
-    moved = np.where((vertices == start).all(axis=1)[:, None], given, vertices + origin)
-    return Cleaned(moved, agreement(topology, prediction.spread) if overlaps else None)
-
-
-def mesh_roughness(topology: _geom.Topology, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns how rough a mesh is (4,), bit for bit as `clean_arrays` finds it; see ``_geom.mesh_roughness``."""
-    return _geom.mesh_roughness(topology, vertices - vertices.mean(axis=0))
+    confidence = agreement(topology, prediction.spread) if overlaps else None
+    return Cleaned(start.way_back(vertices), confidence)
 
 
 def _part(stages: Stages, index: int, n_parts: int, label: str) -> Callable[[float], None]:

@@ -5,13 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
+from gcnd import _geom
 from gcnd.auto import AUTO, CANDIDATES, choose_preset, read_signs
 from gcnd.controls import Controls
-from gcnd.denoise import Boundary, clean_arrays, mesh_roughness
+from gcnd.denoise import Boundary, clean_arrays
 from gcnd.errors import ConfigError, WeightsError, check_count
 from gcnd.nn.fold import Precision
 from gcnd.predict import fast_precision
 from gcnd.runs import Denoised, Moved, run_on
+from gcnd.start import Start
 from gcnd.weights import load_cascade, weights_hash
 
 if TYPE_CHECKING:
@@ -106,9 +108,10 @@ class Denoiser:
         """
 
         def move(surface: Surface, stages: Stages) -> Moved:
-            chosen, roughness = self._choose(surface, stages)
+            start = Start(surface.topology, surface.mesh.vertices)
+            chosen, roughness = self._choose(surface, start, stages)
             cleaned = clean_arrays(
-                surface.mesh.vertices,
+                start,
                 surface.topology,
                 self.cascades[chosen["preset"]],
                 roughness=roughness,
@@ -122,14 +125,17 @@ class Denoiser:
         method["precision"] = self.settings["precision"] or fast_precision(self.device)
         return run_on(mesh, move, controls or self.controls, method, progress, self.triangulate)
 
-    def _choose(self, surface: Surface, stages: Stages) -> tuple[dict[str, Any], NDArray[np.float64] | None]:
+    def _choose(
+        self, surface: Surface, start: Start, stages: Stages
+    ) -> tuple[dict[str, Any], NDArray[np.float64] | None]:
         """The preset for a mesh with what there is to say of it, and the roughness (4,) if it had to be found."""
         if self.preset != AUTO:
             return {"preset": self.preset, "sha256": self.hashes[self.preset]}, None
-        mesh, topology = surface.mesh, surface.topology
         stages(0.0, "preset")
-        roughness = mesh_roughness(topology, mesh.vertices)
-        signs = read_signs(topology, mesh.vertices, mesh.faces, roughness=roughness, ask=stages.ask)
+        roughness = _geom.mesh_roughness(surface.topology, start.positions)
+        signs = read_signs(
+            surface.topology, start.positions, surface.mesh.faces, roughness=roughness, ask=stages.ask
+        )
         choice = choose_preset(signs)
         return {**choice.described(signs), "sha256": self.hashes[choice.preset]}, roughness
 

@@ -11,6 +11,7 @@ from gcnd import _geom
 from gcnd.controls import Controls
 from gcnd.errors import ConfigError, check_count
 from gcnd.runs import Denoised, Moved, run_on
+from gcnd.start import Start
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -143,16 +144,14 @@ class Filter:
         """Filters one mesh and returns all that is known of the result."""
 
         def move(surface: Surface, stages: Stages) -> Moved:
-            # Work around the origin: far away from it, single positions keep fewer digits than noise has.
-            vertices = surface.mesh.vertices
-            origin = vertices.mean(axis=0)
+            start = Start(surface.topology, surface.mesh.vertices, takes_spikes_off=False)
 
             def report(iteration: int, total: int) -> None:
                 stages(iteration / total, self.method)
 
             run = _find(self.method)
-            moved = run(surface.topology, vertices - origin, progress=report, **self.parameters)
-            return Moved(moved + origin)
+            moved = run(surface.topology, start.positions, progress=report, **self.parameters)
+            return Moved(start.way_back(moved))
 
         parameters = {**_defaults(_find(self.method)), **self.parameters}
         described = {"filter": self.method, "parameters": parameters}

@@ -17,6 +17,7 @@ from gcnd.errors import GcndError
 from gcnd.formats.atomic import write_atomic, write_hint
 from gcnd.mesh_io import MeshArrays
 from gcnd.neighbors import sum_across_edges
+from gcnd.start import Start
 from gcnd.volume import enclosed_volumes, open_edges
 
 __all__ = ["flipped_faces", "level_of", "make_report", "noise_level", "write_report"]
@@ -125,7 +126,8 @@ def noise_level(topology: _geom.Topology, vertices: Points, faces: NDArray[np.ui
 
     Choice: docs/choices.md#mesh-roughness.
     """
-    return level_of(_geom.mesh_roughness(topology, vertices), _geom.mean_edge_length(vertices, faces))
+    positions = Start(topology, vertices).positions
+    return level_of(_geom.mesh_roughness(topology, positions), _geom.mean_edge_length(positions, faces))
 
 
 def level_of(roughness: NDArray[np.float64], edge: float) -> float:

@@ -84,11 +84,12 @@ impl Candidate {
         let tip = vertices[vertex_id as usize];
         let corners = || corners_across(topology, vertex_id).map(|corner| vertices[corner as usize]);
         let n = corners().count() as f64;
-        // Offsets from the vertex keep their digits far away from the origin.
-        let foot = tip + corners().map(|corner| corner - tip).sum::<DVec3>() / n;
+        // Offsets from a corner keep their digits far away from the origin, and under a tip far away from both.
+        let first = corners().next()?;
+        let foot = first + corners().map(|corner| corner - first).sum::<DVec3>() / n;
         let extent = corners().map(|corner| corner.distance(foot)).sum::<f64>() / n;
         let distance = tip.distance(foot);
-        let is_far = n > 0.0 && distance.is_finite() && distance > LEAST_HEIGHT * extent;
+        let is_far = distance.is_finite() && distance > LEAST_HEIGHT * extent;
         is_far.then_some(Self { vertex_id, foot, extent })
     }
 
@@ -97,17 +98,23 @@ impl Candidate {
         if around.is_empty() {
             return false;
         }
-        // In units of the spike's length areas stay within the range of numbers.
-        let offset = vertices[self.vertex_id as usize] - self.foot;
-        let unit = offset.length();
+        // In units of the surroundings areas stay within the range of numbers.
+        let from_foot = |v: u32| vertices[v as usize] - self.foot;
+        let offset = from_foot(self.vertex_id);
+        let corners = around.iter().flat_map(|&face_id| topology.faces()[face_id as usize]);
+        let reach = corners.map(|v| from_foot(v).length()).fold(0.0, f64::max);
+        let unit = if reach > 0.0 { reach } else { offset.length() };
+        // The spike itself on its foot: around a vertex areas · normals have the same sum wherever it is, but no digits
+        // of it are left where it is far off.
         let placed = |face_id: u32| {
-            topology.faces()[face_id as usize].map(|v| (vertices[v as usize] - self.foot) / unit)
+            let place = |v| if v == self.vertex_id { DVec3::ZERO } else { from_foot(v) / unit };
+            topology.faces()[face_id as usize].map(place)
         };
         let perimeter = |[a, b, c]: [DVec3; 3]| a.distance(b) + b.distance(c) + c.distance(a);
         let edges: f64 = around.iter().map(|&face_id| perimeter(placed(face_id))).sum();
         let least = LEAST_HEIGHT * (self.extent / unit).max(edges / (3 * around.len()) as f64);
         if is_on_rim {
-            return least < 1.0;
+            return (offset / unit).length() > least;
         }
         let area_normal = |face_id: u32| {
             let [a, b, c] = placed(face_id);
@@ -158,9 +165,15 @@ mod tests {
     fn a_raised_vertex_is_a_spike_from_five_times_the_mean_edge_on() {
         // Six neighbours around an inner vertex: four at distance 1, two at √2; the faces around are halves of squares.
         let least = 5.0 * (2.0 + 2f64.sqrt()) / 3.0;
-        for (height, is_spike) in
-            [(0.999, false), (1.001, true), (-0.999, false), (-1.001, true), (1e6, true)]
-        {
+        for (height, is_spike) in [
+            (0.999, false),
+            (1.001, true),
+            (-0.999, false),
+            (-1.001, true),
+            (1e6, true),
+            (1e16, true),
+            (-1e120, true),
+        ] {
             let (mut vertices, faces) = fixtures::grid(8, 8);
             vertices[40].z = height * least;
             let found = spikes(&vertices, &faces);

@@ -13,10 +13,12 @@ def run(input_mesh: InputMesh, as_json: JsonFlag = False) -> None:
     from gcnd.auto import choose_preset, read_signs
     from gcnd.mesh_info import mesh_info
     from gcnd.mesh_io import to_arrays
+    from gcnd.start import Start
 
     arrays, _ = to_arrays(input_mesh)
     welded, _ = arrays.welded()
-    signs = read_signs(_geom.Topology(welded.faces, len(welded.vertices)), welded.vertices, welded.faces)
+    topology = _geom.Topology(welded.faces, len(welded.vertices))
+    signs = read_signs(topology, Start(topology, welded.vertices).positions, welded.faces)
     choice = choose_preset(signs)
     info: dict[str, object] = {**mesh_info(arrays.vertices, arrays.faces), **signs.described()}
     info |= {"preset": choice.preset, "why": choice.why}

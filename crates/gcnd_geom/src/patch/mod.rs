@@ -271,7 +271,7 @@ impl<'a> PatchExtractor<'a> {
         let scale = select::patch_scale_of(topology, geometry, face_id, params.patch_scale, select);
         select::select_patch(topology, geometry, vertices, tree, face_id, scale.radius, select);
         if params.sheets == Sheets::One {
-            sheets::leave_other_sheets(topology, geometry, scale.area_normal, select);
+            sheets::leave_other_sheets(topology, geometry, &scale, select);
         }
         let to_local = self.to_local(face_id, &scale);
         locals.clear();
