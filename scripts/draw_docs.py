@@ -92,11 +92,11 @@ def statue() -> None:
 
 
 def camera() -> None:
-    """A simulated frame, denoised by the network and by a filter, from where the camera was."""
+    """A simulated frame, denoised by the network for scans and by a filter, from where the camera was."""
     shape = detailed()
     pair = simulate("kinect1", shape.vertices, shape.faces, seed=1)
     mesh = (pair.noisy_vertices, pair.faces)
-    clean, _ = gcnd.denoise(mesh)
+    clean, _ = gcnd.denoise(mesh, preset="scan")
     guided, _ = apply_filter(mesh, "guided-normal", sigma_r=0.45, normal_iterations=40)
     normals, _, areas = _geom.face_geometry(pair.clean_vertices, pair.faces)
     x, y, z = areas @ normals
@@ -104,8 +104,8 @@ def camera() -> None:
         OUT / "camera.png",
         [
             [
-                Panel("scan", *mesh),
-                Panel("default", clean, pair.faces),
+                Panel("frame", *mesh),
+                Panel("gcnd, weights for scans", clean, pair.faces),
                 Panel("guided-normal", guided, pair.faces),
                 Panel("truth", pair.clean_vertices, pair.faces),
             ]

@@ -59,14 +59,16 @@ def denoise(
     Args:
         mesh: A mesh of trimesh, pyvista, open3d or meshio, a pair (vertices (V, 3), faces (F, 3)) of numpy or torch
             arrays, or a path; see ``gcnd.mesh_io.to_arrays``.
-        preset: "auto" for "scan" where the mesh shows a camera's pixels or voxels, see ``gcnd.auto``, and "default"
-            otherwise; the name of shipped weights (``gcnd models`` lists them); or the path of a weights file.
+        preset: "auto" for "scan" where the mesh shows a camera's pixels, voxels or a printer's layer lines, see
+            ``gcnd.auto``, and "default" otherwise; the name of shipped weights (``gcnd models`` lists them); or the
+            path of a weights file.
         device: "cpu", or "cuda" where torch has it.
         seed: Chooses the patches that cover the mesh; the same seed gives the same result on the CPU.
         normal_iterations: m, iterations of normal refinement (Eq. 5) on every face after the last stage; 0 is none.
             The paper takes 12 for CAD models and depth-camera scans, 1 otherwise. ``None`` does what the preset
             says: ours refines where overlapping predictions allow it.
-        vertex_iterations: Iterations of vertex updating (Eq. 6) after each stage; ``None`` takes the preset's, 15.
+        vertex_iterations: Iterations of vertex updating (Eq. 6) after each stage; ``None`` takes the preset's: 60 for
+            "scan", 15 for the others.
         precision: "float32" or "bfloat16" for the network's products; ``None`` takes the fastest that is measured safe
             on the device, see ``gcnd.predict.fast_precision``.
         boundary: How vertices on a boundary of an open mesh move: "along" the normal of the surface only, so that the
