@@ -63,7 +63,7 @@ def moved_by(options: dict[str, Any], preset: str) -> np.ndarray:
 
 @pytest.mark.parametrize("precision", ["float16", "int8", 32])
 def test_other_precisions_are_refused(precision: Any) -> None:
-    with pytest.raises(ConfigError, match="precision is .*, allowed: float32, bfloat16 or None"):
+    with pytest.raises(ConfigError, match=r"precision is .*, allowed: float32, bfloat16 or None"):
         Denoiser("fast", precision=precision)
 
 

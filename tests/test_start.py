@@ -74,7 +74,9 @@ def test_what_does_not_move_keeps_its_bits() -> None:
 def test_the_noise_of_a_mesh_is_told_without_its_spikes() -> None:
     level = noise_level(topology_of(NOISY), NOISY, FACES)
     assert noise_level(topology_of(NOISY), with_spike(1e6), FACES) == pytest.approx(level, rel=0.05)
-    assert noise_level(topology_of(with_stray(1e20)), with_stray(1e20), FACES) == pytest.approx(level, rel=1e-6)
+    assert noise_level(topology_of(with_stray(1e20)), with_stray(1e20), FACES) == pytest.approx(
+        level, rel=1e-6
+    )
 
 
 def test_signs_of_a_scanner_are_seen_beside_a_spike() -> None:

@@ -67,7 +67,9 @@ class Denoiser:
         if boundary not in get_args(Boundary):
             raise ConfigError(f"boundary is {boundary!r}, allowed: {', '.join(get_args(Boundary))}")
         if precision is not None and precision not in get_args(Precision):
-            raise ConfigError(f"precision is {precision!r}, allowed: {', '.join(get_args(Precision))} or None")
+            raise ConfigError(
+                f"precision is {precision!r}, allowed: {', '.join(get_args(Precision))} or None"
+            )
         check_count("seed", seed)
         check_count("normal_iterations", normal_iterations)
         check_count("vertex_iterations", vertex_iterations)
