@@ -59,7 +59,8 @@ def _triangles(
     """The triangles (T, 3), and of which faces they are parts if some have more corners; without ``triangulate`` an
     error names the first of those."""
     cells = mesh.GetPolys()
-    lengths = np.diff(np.asarray(cells.GetOffsetsArray()).astype(np.int64))
+    ends = np.array(cells.GetOffsetsArray(), dtype=np.int64)
+    lengths = ends[1:] - ends[:-1]
     ids = np.array(cells.GetConnectivityArray(), dtype=np.int64)
     wrong = np.flatnonzero(lengths < 3 if triangulate else lengths != 3)
     if len(wrong):
