@@ -5,8 +5,8 @@
 
 Every variant of a group is trained from nothing on the same generated shapes and as many patch nodes, with everything
 but the one thing that the group is about as in the recipe ``default``; then it denoises validation shapes that nothing
-is trained on. A line is kept in DIR/results.json once it is measured, and weights as DIR/GROUP-VARIANT.safetensors, for
-``gcnd denoise --preset`` and ``gcnd compare``.
+is trained on. A line is kept in DIR/results.json once it is measured, and weights as
+DIR/GROUP-VARIANT-STEPS-steps.safetensors, for ``gcnd denoise --preset`` and ``gcnd compare``.
 
 Paper: Sec. 7.5.
 """
@@ -193,7 +193,9 @@ def main() -> None:
         if key not in rows:
             shapes = shapes or generated_shapes(N_SHAPES, SHAPE_SEED, options.shapes)
             cascade, speed = train(variant, options.steps, shapes, options.out)
-            path = options.out / f"{key.replace(' ', '-').replace('/', '_')}.safetensors"
+            # Commas part the methods of gcnd compare.
+            name_of_file = key.replace(", ", "-").replace(" ", "-").replace("/", "_")
+            path = options.out / f"{name_of_file}.safetensors"
             save_cascade(path, cascade, {"recipe": key})
             weights = sum(p.numel() for p in cascade.parameters())
             about = {"weights": weights, "patches_per_second": round(speed)}
