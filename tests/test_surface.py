@@ -116,8 +116,10 @@ def test_a_one_sided_component_says_so() -> None:
 def test_faces_that_touch_nothing_say_so() -> None:
     apart = NOISY[FACES] + 1e-3 * np.random.default_rng(1).normal(size=(len(FACES), 1, 3))
     soup = (apart.reshape(-1, 3), np.arange(3 * len(FACES)).reshape(-1, 3))
-    with pytest.warns(MeshWarning, match="none of the 1,280 faces shares an edge with another"):
+    with pytest.warns(MeshWarning, match="none of the 1,280 faces share an edge with another"):
         gcnd.denoise(soup, preset="fast")
+    nearly = MeshArrays(soup[0], np.concatenate([soup[1], [[0, 1, 5]]]).astype(np.uint32))
+    assert "only 2 of the 1,281 faces share an edge" in as_surface(nearly).told[0]
     # The same at exactly equal positions is a surface, as in an STL file.
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -51,10 +51,10 @@ def as_surface(mesh: MeshArrays) -> Surface:
     """
     topology = _geom.Topology(mesh.faces, len(mesh.vertices))
     offsets, _ = topology.edge_neighbors()
+    told = _alone(int(np.count_nonzero(np.diff(offsets) == 0)), len(mesh.faces))
     if not offsets[-1]:
-        return Surface(mesh, topology, (_alone(len(mesh.faces)),) if len(mesh.faces) > 1 else ())
+        return Surface(mesh, topology, tuple(told))
     is_turned, n_disagreeing, n_left, n_one_sided = _geom.orient(topology)
-    told = []
     n_turned = int(np.count_nonzero(is_turned))
     if n_turned:
         faces = mesh.faces.copy()
@@ -73,8 +73,12 @@ def as_surface(mesh: MeshArrays) -> Surface:
     return Surface(mesh, topology, tuple(told))
 
 
-def _alone(n_faces: int) -> str:
-    return (
-        f"none of the {n_faces:,} faces shares an edge with another, so no face has a neighbourhood to learn from: "
-        "vertices that belong together must be at exactly one position; merge them first"
-    )
+def _alone(n_alone: int, n_faces: int) -> list[str]:
+    """What there is to say of faces without a neighbour; nothing of a single face, or where most have one."""
+    if n_faces == 1 or 2 * n_alone <= n_faces:
+        return []
+    who = "none" if n_alone == n_faces else f"only {n_faces - n_alone:,}"
+    return [
+        f"{who} of the {n_faces:,} faces share an edge with another, so that most have no neighbourhood to learn "
+        "from: vertices that belong together must be at exactly one position; merge them first"
+    ]

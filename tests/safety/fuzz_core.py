@@ -32,6 +32,9 @@ def topology(rng: Rng, _: Path) -> bool:
         assert (np.diff(offsets.astype(np.int64)) >= 0).all()
         assert offsets[-1] == len(ids)
         assert (ids < limit).all()
+    is_turned, *counts = _geom.orient(found)
+    assert len(is_turned) == len(faces)
+    assert min(counts) >= 0
     return True
 
 
