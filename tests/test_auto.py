@@ -44,6 +44,12 @@ def body(name: str) -> tuple[Points, Faces]:
     return parts_of(box)
 
 
+def elsewhere(vertices: Points, rng: np.random.Generator) -> Points:
+    """The same turned, larger and far away."""
+    turn = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
+    return np.asarray(250.0 * vertices @ turn.T + [1000.0, -500.0, 3.0])
+
+
 @pytest.mark.parametrize("name", ["ball", "box"])
 @pytest.mark.parametrize("kind", ["kinect1", "kinect2", "fusion"])
 def test_frames_and_fused_frames_get_the_weights_for_scans(name: str, kind: ScanKind) -> None:
@@ -119,8 +125,7 @@ def test_a_print_is_known_from_any_side_at_any_size_and_order_of_faces() -> None
     vertices, faces = body("ball")
     pair = simulate("print", vertices, faces, seed=1)
     rng = np.random.default_rng(0)
-    turn = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
-    moved = 250.0 * pair.noisy_vertices @ turn.T + [1000.0, -500.0, 3.0]
+    moved = elsewhere(pair.noisy_vertices, rng)
     straight = signs_of(pair.noisy_vertices, pair.faces)
     shuffled = signs_of(pair.noisy_vertices, np.ascontiguousarray(rng.permutation(pair.faces)))
     turned = signs_of(moved, pair.faces)
@@ -143,8 +148,7 @@ def test_a_frame_is_known_from_any_side_at_any_size_and_order_of_faces() -> None
     vertices, faces = body("ball")
     pair = simulate("kinect2", vertices, faces, seed=1)
     rng = np.random.default_rng(0)
-    turn = trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3]
-    moved = 250.0 * pair.noisy_vertices @ turn.T + [1000.0, -500.0, 3.0]
+    moved = elsewhere(pair.noisy_vertices, rng)
     shuffled = np.ascontiguousarray(rng.permutation(pair.faces))
     straight, turned = signs_of(pair.noisy_vertices, pair.faces), signs_of(moved, shuffled)
     assert turned.pixel_share == pytest.approx(straight.pixel_share, abs=1e-3)

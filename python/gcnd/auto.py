@@ -181,9 +181,9 @@ def read_signs(
     from gcnd.report import level_of
 
     # Squares of lengths must be numbers, whatever the unit.
-    size = float(np.abs(vertices - vertices[0]).max())
-    unit = size if size > 0 else 1.0
-    vertices = (vertices - vertices[0]) / unit if size > 0 else vertices
+    vertices = vertices - vertices[0]
+    unit = float(np.abs(vertices).max()) or 1.0
+    vertices /= unit
     edge = _geom.mean_edge_length(vertices, faces)
     ask()
     roughness = _geom.mesh_roughness(topology, vertices) if roughness is None else roughness / unit

@@ -55,8 +55,8 @@ fn rotation() -> impl Strategy<Value = DMat3> {
         })
 }
 
-/// Eq. 1's faces without the parts that the centre does not reach over shared vertices and that face away from it;
-/// nothing where an angle is too close to 120° to tell.
+/// Eq. 1's faces without the parts that the centre does not reach over shared vertices and that face away from it, more
+/// than a tenth of their area; nothing where an angle is too close to 120°, or a share to that, to tell.
 fn of_one_sheet((vertices, faces): &Mesh, center_id: usize, inside: &BTreeSet<u32>) -> Option<BTreeSet<u32>> {
     let geometry = FaceGeometry::compute(vertices, faces);
     let mean = |of: &BTreeSet<u32>| -> DVec3 {
@@ -90,10 +90,12 @@ fn of_one_sheet((vertices, faces): &Mesh, center_id: usize, inside: &BTreeSet<u3
         }
         left = left.difference(&part).copied().collect();
         let of_part = cosine(mean(&part));
-        if (of_part + 0.5).abs() < 1e-9 {
+        let area: f64 = part.iter().map(|&f| geometry.areas[f as usize]).sum();
+        let facing = mean(&part).length() / area;
+        if (of_part + 0.5).abs() < 1e-9 || (facing - 0.1).abs() < 1e-9 {
             return None;
         }
-        if start == center_id as u32 || of_part > -0.5 {
+        if start == center_id as u32 || of_part > -0.5 || facing < 0.1 {
             kept.append(&mut part);
         }
         match left.first() {
