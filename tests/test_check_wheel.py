@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import zipfile
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
-spec = importlib.util.spec_from_file_location("check_wheel", ROOT / "scripts" / "check_wheel.py")
-assert spec is not None
-assert spec.loader is not None
-check_wheel = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(check_wheel)
+from script_cases import script
+
+check_wheel = script("check_wheel")
 
 NAME = "gcnd-1.0.0-cp310-abi3-manylinux_2_28_x86_64.whl"
 INFO = "gcnd-1.0.0.dist-info"

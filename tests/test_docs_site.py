@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 import gcnd
+from script_cases import ROOT, script
 
-ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 DIRECTIVE = re.compile(r"^::: (\S+)$", re.MULTILINE)
 SOURCE = "https://example.org/blob/main"
-
-
-def script(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
 
 hooks = script("docs_hooks")
 

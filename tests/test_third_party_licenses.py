@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parent.parent
-spec = importlib.util.spec_from_file_location("licences", ROOT / "scripts" / "third_party_licenses.py")
-assert spec is not None
-assert spec.loader is not None
-licences = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(licences)
+from script_cases import ROOT, script
+
+licences = script("third_party_licenses")
 
 
 def package(folder: Path, name: str, *, kind: str = "lib", own: bool = False, **texts: str) -> dict[str, Any]:
