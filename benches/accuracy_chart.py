@@ -1,6 +1,10 @@
-"""Draws E_a by kind of mesh and E_a against time, from what benches/accuracy.py wrote.
+"""Draws E_a by kind of mesh and E_a against time, from what `gcnd compare` wrote.
 
-python benches/accuracy_chart.py results.json chart.png --preset default --preset fast --preset paper
+    gcnd compare DIR --levels 0.2 --methods default,fast,paper,classical --pictures none --out runs/real
+    python benches/accuracy_chart.py runs/real docs/images/accuracy.png
+
+A filter that was run at several settings is drawn at the best of them per mesh and level, chosen with the truth in
+hand, and at the mean of their times.
 """
 
 from __future__ import annotations
@@ -10,14 +14,13 @@ import json
 from pathlib import Path
 
 import numpy as np
-from accuracy import CLASSICAL
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 KINDS = {"cad": "CAD", "smooth": "smooth", "feature": "detailed"}
-FAMILIES = {
-    "taubin": ("Taubin", "#d9d5cb"),
-    "humphrey": ("Humphrey", "#b9b4a6"),
+METHODS = {
+    "trimesh:taubin-tuned": ("Taubin", "#d9d5cb"),
+    "trimesh:humphrey-tuned": ("Humphrey", "#b9b4a6"),
     "l0": ("L0", "#a9b6c9"),
     "bilateral-normal": ("bilateral normals", "#8698b3"),
     "guided-normal": ("guided normals", "#5f7495"),
@@ -25,50 +28,54 @@ FAMILIES = {
     "fast": ("gcnd, fast", "#e2916f"),
     "default": ("gcnd, default", "#c8452f"),
 }
-"""What is drawn, in this order, with its name and colour; a preset only where it was measured."""
+"""What is drawn, in this order, with its name and colour; a method only where it was run."""
 
 Rows = list[dict]
 
 
-def variants(family: str) -> list[str]:
-    """The names in a row that belong to a family: a filter at each of its settings, or the preset itself."""
-    return [name for name in CLASSICAL if name.split()[0] == family] or [family]
+def settings(rows: Rows, method: str) -> list[str]:
+    """The names of a method's runs: itself, or one for each of its settings."""
+    return sorted({row["method"] for row in rows if row["method"].split("[")[0] == method})
 
 
-def mean_error(rows: Rows, family: str) -> float:
-    """Mean E_a in degrees; a filter at its best setting per mesh and level, chosen with the truth in hand."""
-    return float(np.mean([min(row[name]["e_a"] for name in variants(family)) for row in rows]))
+def mean_error(rows: Rows, method: str) -> float:
+    """Mean E_a in degrees; at the best setting per mesh, noise and level."""
+    best: dict[tuple, float] = {}
+    for row in rows:
+        if row["method"] in settings(rows, method):
+            case = (row["mesh"], row["noise"], row["level"])
+            best[case] = min(row["e_a"], best.get(case, np.inf))
+    return float(np.mean(list(best.values())))
 
 
-def seconds(rows: Rows, family: str) -> float:
+def seconds(rows: Rows, method: str) -> float:
     """Seconds for 100,000 faces, in the mean over meshes, levels and settings."""
-    names = variants(family)
-    total = sum(row[name]["seconds"] for row in rows for name in names)
-    return 1e5 * total / sum(row["faces"] for row in rows) / len(names)
+    own = [row for row in rows if row["method"] in settings(rows, method)]
+    return 1e5 * sum(row["seconds"] for row in own) / sum(row["faces"] for row in own)
 
 
-def draw_kinds(axis: Axes, rows: Rows, families: list[str]) -> None:
+def draw_kinds(axis: Axes, rows: Rows, methods: list[str]) -> None:
     """Bars of mean E_a by kind of mesh."""
-    width = 0.86 / len(families)
+    width = 0.86 / len(methods)
     kinds = [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]
     for column, kind in enumerate(kinds):
         chosen = [row for row in rows if row["kind"] == kind]
-        for slot, family in enumerate(families):
-            name, colour = FAMILIES[family]
-            place = column + (slot - (len(families) - 1) / 2) * width
+        for slot, method in enumerate(methods):
+            name, colour = METHODS[method]
+            place = column + (slot - (len(methods) - 1) / 2) * width
             label = name if column == 0 else None
-            bar = axis.bar(place, mean_error(chosen, family), width * 0.92, color=colour, label=label)
+            bar = axis.bar(place, mean_error(chosen, method), width * 0.92, color=colour, label=label)
             axis.bar_label(bar, fmt="%.1f", fontsize=6, padding=1)
     axis.set_xticks(range(len(kinds)), [KINDS[kind] for kind in kinds])
     axis.set_ylabel("E_a, degrees")
     axis.set_title("error by kind of mesh", fontsize=10)
 
 
-def draw_times(axis: Axes, rows: Rows, families: list[str]) -> None:
+def draw_times(axis: Axes, rows: Rows, methods: list[str], threads: int) -> None:
     """Mean E_a against seconds, a point a method."""
-    for turn, family in enumerate(sorted(families, key=lambda family: seconds(rows, family))):
-        name, colour = FAMILIES[family]
-        place = (seconds(rows, family), mean_error(rows, family))
+    for turn, method in enumerate(sorted(methods, key=lambda method: seconds(rows, method))):
+        name, colour = METHODS[method]
+        place = (seconds(rows, method), mean_error(rows, method))
         # Above and below by turns, so that neighbours' names do not meet.
         offset = (0, 8 if turn % 2 else -14)
         axis.scatter(*place, s=60, color=colour, edgecolor="#444444", linewidth=0.6, zorder=3)
@@ -78,40 +85,34 @@ def draw_times(axis: Axes, rows: Rows, families: list[str]) -> None:
     axis.margins(x=0.18, y=0.12)
     axis.set_ylim(bottom=0)
     axis.grid(color="#eeeeee", zorder=0)
-    axis.set_xlabel("seconds for 100,000 faces, two cores")
+    axis.set_xlabel(f"seconds for 100,000 faces, {threads} thread{'s' if threads > 1 else ''}")
     axis.set_title("error against time", fontsize=10)
 
 
 def main() -> None:
     """Writes the chart and prints what it shows."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("results", type=Path)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("report", type=Path)
     parser.add_argument("chart", type=Path)
-    parser.add_argument("--preset", action="append", required=True, choices=["paper", "fast", "default"])
-    parser.add_argument("--source", default="val", help="val or procedural")
     options = parser.parse_args()
-    rows = [
-        row
-        for key, row in json.loads(options.results.read_text()).items()
-        if key.startswith(options.source)
-        and row["noise"] == "gaussian"
-        and all(p in row for p in options.preset)
-    ]
-    classical = {name.split()[0] for name in CLASSICAL}
-    families = [family for family in FAMILIES if family in classical or family in options.preset]
+    report = json.loads((options.report / "results.json").read_text(encoding="utf-8"))
+    rows = [row for row in report["rows"] if row["seconds"] is not None and row["error"] is None]
+    methods = [method for method in METHODS if settings(rows, method)]
     figure = Figure(figsize=(11, 3.6), dpi=130, layout="constrained")
     bars, times = figure.subplots(1, 2, width_ratios=(1.75, 1))
-    draw_kinds(bars, rows, families)
-    draw_times(times, rows, families)
+    draw_kinds(bars, rows, methods)
+    draw_times(times, rows, methods, report["about"]["threads"])
     for axis in (bars, times):
         axis.spines[["top", "right"]].set_visible(False)
     figure.legend(
         *bars.get_legend_handles_labels(), loc="outside lower center", ncols=8, frameon=False, fontsize=8
     )
     figure.savefig(options.chart)
-    for family in families:
+    for method in methods:
         print(
-            f"{family}: E_a {mean_error(rows, family):.2f}, {seconds(rows, family):.1f} s for 100,000 faces"
+            f"{method}: E_a {mean_error(rows, method):.2f}, {seconds(rows, method):.1f} s for 100,000 faces"
         )
 
 

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from gcnd import _geom
+from gcnd.errors import GcndError
 from reference import bilateral_normal, filters, meshes
 from reference.patches import PatchReference, face_class
 
@@ -141,6 +142,32 @@ def test_scale_space_follows_the_other_channels(case: Case) -> None:
         if iteration in (1, 4, 16):
             want = meshes.face_geometry(smoothed, case.faces)[0][got["face_ids"]]
             np.testing.assert_allclose(world[:, :, (1, 4, 16).index(iteration)], want, rtol=0, atol=2e-6)
+
+
+def test_first_normals_are_those_of_the_mesh_before_its_first_pass(case: Case) -> None:
+    rng = np.random.default_rng(8)
+    first = case.vertices + rng.normal(0, 0.01, case.vertices.shape)
+    roughness = np.array([0.0, 1e-3, 0.02, 0.7])
+    got = extract(case, 64, scale_space=True, first=first, roughness=roughness)
+    others = extract(case, 64, scale_space=True, roughness=roughness)["features"]
+    np.testing.assert_array_equal(np.delete(got["features"], np.s_[26:35], axis=-1), others)
+    channels = got["features"][..., 26:35].reshape(-1, 64, 3, 3)
+    world = np.einsum("prc,pnkc->pnkr", got["world_from_patch"], channels)
+    smoothed = first
+    for iteration in range(5):
+        if iteration in (0, 1, 4):
+            want = meshes.face_geometry(smoothed, case.faces)[0][got["face_ids"]]
+            np.testing.assert_allclose(world[:, :, (0, 1, 4).index(iteration)], want, rtol=0, atol=2e-6)
+        smoothed = filters.average_of_centroids(smoothed, case.faces)
+
+
+def test_a_first_mesh_that_cannot_be_is_refused(case: Case) -> None:
+    with pytest.raises(GcndError, match="first"):
+        _geom.PatchExtractor(case.topology, case.vertices, first=np.zeros((3, 3)))
+    broken = case.vertices.copy()
+    broken[7, 1] = np.nan
+    with pytest.raises(GcndError, match="vertex 7"):
+        _geom.PatchExtractor(case.topology, case.vertices, first=broken)
 
 
 def test_roughness(case: Case) -> None:

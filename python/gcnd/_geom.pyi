@@ -49,6 +49,7 @@ class PatchExtractor:
         sigma_vote: float = ...,
         vertex_offsets: bool = True,
         scale_space: bool = False,
+        first: Points | None = None,
         roughness: NDArray[np.float64] | None = None,
         progress: StepProgress | None = None,
     ) -> None: ...

@@ -215,6 +215,7 @@ def clean_arrays(
             network,
             seed=(seed + index) % 2**64,
             roughness=roughness,
+            first=start.positions,
             device=device,
             precision=precision,
             progress=_part(stages, index, len(passes), f"normals, {number}"),

@@ -101,12 +101,16 @@ def make_extractor(
     patch: PatchConfig,
     seed: int,
     roughness: NDArray[np.float64] | None = None,
+    first: NDArray[np.float64] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> _geom.PatchExtractor:
-    """Prepares patch extraction from a mesh as ``patch`` describes it; see `predict_normals` for ``roughness``.
+    """Prepares patch extraction from a mesh as ``patch`` describes it; ``roughness`` and ``first`` as of
+    `predict_normals`.
 
     ``progress`` is called after each step with (step, steps in all); what it raises stops the preparation.
     """
+    if first is None:
+        first = vertices
     if patch.roughness and roughness is None:
         roughness = _geom.mesh_roughness(topology, vertices)
     return _geom.PatchExtractor(
@@ -121,6 +125,7 @@ def make_extractor(
         sigma_vote=patch.sigma_vote,
         vertex_offsets=patch.vertex_offsets,
         scale_space=patch.scale_space,
+        first=first if patch.first_normals else None,
         roughness=roughness if patch.roughness else None,
         progress=progress,
     )
@@ -134,6 +139,7 @@ def predict_normals(
     *,
     seed: int = 0,
     roughness: NDArray[np.float64] | None = None,
+    first: NDArray[np.float64] | None = None,
     device: torch.device | str = "cpu",
     precision: Precision = "float32",
     progress: Callable[[float], None] | None = None,
@@ -152,6 +158,7 @@ def predict_normals(
         seed: Chooses the patch centres.
         roughness: Of the mesh before its first pass (4,), as ``_geom.mesh_roughness`` gives it; ``None`` takes that of
             ``vertices``.
+        first: Positions before the mesh's first pass (V, 3), mesh units; ``None`` takes ``vertices``.
         device: Where the network's weights are.
         precision: Of the network's linear layers and of what passes between them.
         progress: Called with the fraction done, while patches are prepared and after every batch of them; what it
@@ -167,7 +174,7 @@ def predict_normals(
         if progress is not None:
             progress(0.0)
 
-    extractor = make_extractor(topology, vertices, stage.patch, seed, roughness, prepared)
+    extractor = make_extractor(topology, vertices, stage.patch, seed, roughness, first, prepared)
     accumulator = _geom.NormalAccumulator(topology.n_faces)
     chosen = (
         _every_face(topology.n_faces)

@@ -35,6 +35,8 @@ def test_config_survives_json() -> None:
 def test_patch_channels(offsets: bool, channels: int) -> None:
     assert PatchConfig(vertex_offsets=offsets).n_channels == channels
     assert PatchConfig(vertex_offsets=offsets, scale_space=True).n_channels == channels + 9
+    told = PatchConfig(vertex_offsets=offsets, scale_space=True, first_normals=True, roughness=True)
+    assert told.n_channels == channels + 22
 
 
 @pytest.mark.parametrize(

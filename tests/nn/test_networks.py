@@ -213,7 +213,7 @@ def test_config_survives_json(config: NetworkConfig) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"in_channels": 9}, "in_channels is 9, allowed: 8, 12, 17, 21, 26 or 30"),
+        ({"in_channels": 9}, "in_channels is 9, allowed: 8, 12, 17, 21, 26, 30, 35 or 39"),
         ({"static_channels": (), "dynamic_channels": ()}, "at least one static or dynamic layer"),
         ({"head_channels": ()}, "head_channels is empty"),
         ({"architecture": "node"}, "architecture is 'node', allowed"),

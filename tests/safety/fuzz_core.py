@@ -90,6 +90,7 @@ def patches(rng: Rng, _: Path) -> bool:
         "voting_region": str(rng.choice(["patch", "two_ring", "nobody"])),
         "vertex_offsets": bool(rng.random() < 0.5),
         "scale_space": bool(rng.random() < 0.3),
+        "first": wild.mesh(rng)[0] if rng.random() < 0.1 else vertices if rng.random() < 0.3 else None,
         "seed": wild.below(rng, 5),
     }
     if rng.random() < 0.15:

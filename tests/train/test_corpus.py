@@ -103,7 +103,7 @@ def test_a_run_on_pairs_learns_from_them_alone(tmp_path: Path) -> None:
     drawn = [corpus.source.draw(rng) for _ in range(60)]
     assert sorted({mesh.shape.name for mesh in drawn}) == names
     edge = sphere_edge()
-    for shape, vertices, _ in drawn:
+    for shape, vertices, *_ in drawn:
         moved = np.linalg.norm(vertices - shape.vertices, axis=1).std()
         assert 0 < moved < 0.5 * max(edge, shape.noise.mean_edge)
     path = TrainingRun(tmp_path / "run", RECIPE, corpus, validate_every=5).run()

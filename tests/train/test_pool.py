@@ -37,7 +37,7 @@ def test_shapes_of_one_name_stay_apart_in_a_pool(tmp_path: Path) -> None:
     assert all(len(member.vertices) == len(shapes[member.shape].vertices) for member in pool.members)
 
 
-def test_a_pool_keeps_how_rough_its_meshes_were_before(tmp_path: Path) -> None:
+def test_a_pool_keeps_what_its_meshes_were_before(tmp_path: Path) -> None:
     shapes = [clean(sphere())]
     torch.manual_seed(6)
     network = build_network(STAGE.network)
@@ -52,5 +52,8 @@ def test_a_pool_keeps_how_rough_its_meshes_were_before(tmp_path: Path) -> None:
         own = _geom.mesh_roughness(mesh.shape.topology, mesh.vertices)
         assert np.abs(mesh.roughness / own - 1).max() > 0.01
     noise = FreshNoise(shapes)
-    originals = [noise.draw(np.random.default_rng([0, _STREAM, number])).roughness for number in range(2)]
-    assert sorted(drawn) == sorted(float(roughness[2]) for roughness in originals)
+    originals = [noise.draw(np.random.default_rng([0, _STREAM, number])) for number in range(2)]
+    assert sorted(drawn) == sorted(float(original.roughness[2]) for original in originals)
+    for original in originals:
+        first = drawn[float(original.roughness[2])].first
+        np.testing.assert_array_equal(first, original.vertices.astype(np.float32))

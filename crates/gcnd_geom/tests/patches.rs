@@ -31,8 +31,9 @@ fn budget() -> impl Strategy<Value = Budget> {
 
 fn params() -> impl Strategy<Value = PatchParams> {
     let region = prop_oneof![Just(VotingRegion::Patch), Just(VotingRegion::TwoRing)];
-    (2.0..10.0f64, 16usize..80, budget(), region, 0.05..3.0f64, any::<[bool; 3]>()).prop_map(
-        |(patch_scale, n_nodes, budget, voting_region, sigma_vote, [vertex_offsets, scale_space, is_one])| {
+    (2.0..10.0f64, 16usize..80, budget(), region, 0.05..3.0f64, any::<[bool; 4]>()).prop_map(
+        |(patch_scale, n_nodes, budget, voting_region, sigma_vote, flags)| {
+            let [vertex_offsets, scale_space, first_normals, is_one] = flags;
             PatchParams {
                 patch_scale,
                 sheets: if is_one { Sheets::One } else { Sheets::All },
@@ -42,6 +43,7 @@ fn params() -> impl Strategy<Value = PatchParams> {
                 sigma_vote,
                 vertex_offsets,
                 scale_space,
+                first_normals,
                 roughness: scale_space.then_some([0.0, 1e-3, 0.02, 7.0]),
             }
         },

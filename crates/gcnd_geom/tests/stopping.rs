@@ -74,10 +74,12 @@ fn vertex_updating_asks_after_every_iteration() {
 #[test]
 fn preparing_patches_asks_after_the_geometry_the_tree_and_every_smoothing() {
     let Noisy { topology, vertices, .. } = noisy();
-    for (scale_space, steps) in [(false, 2), (true, 18)] {
-        let params = PatchParams { scale_space, ..PatchParams::default() };
+    for (scale_space, first_normals, steps) in
+        [(false, false, 2), (true, false, 18), (false, true, 6), (true, true, 22)]
+    {
+        let params = PatchParams { scale_space, first_normals, ..PatchParams::default() };
         assert_stops_anywhere(steps, |watch| {
-            PatchExtractor::watched(&topology, &vertices, params, watch).map(drop)
+            PatchExtractor::watched(&topology, &vertices, &vertices, params, watch).map(drop)
         });
     }
 }

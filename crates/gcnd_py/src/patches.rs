@@ -75,7 +75,7 @@ impl PyPatchExtractor {
     #[new]
     #[pyo3(signature = (topology, vertices, *, patch_scale=4.0, sheets="all", n_nodes=64, budget="nearest", seed=0,
                         voting_region="patch", sigma_vote=1.0 / 3.0, vertex_offsets=true,
-                        scale_space=false, roughness=None, progress=None))]
+                        scale_space=false, first=None, roughness=None, progress=None))]
     #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
     fn new(
         py: Python<'_>,
@@ -90,6 +90,7 @@ impl PyPatchExtractor {
         sigma_vote: f64,
         vertex_offsets: bool,
         scale_space: bool,
+        first: Option<Points<'_>>,
         roughness: Option<PyReadonlyArray1<'_, f64>>,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Self> {
@@ -102,13 +103,16 @@ impl PyPatchExtractor {
             sigma_vote,
             vertex_offsets,
             scale_space,
+            first_normals: first.is_some(),
             roughness: roughness.map(roughness_from).transpose()?,
         };
         let vertices = arrays::points("vertices", &vertices)?.to_vec();
+        let first = first.as_ref().map(|first| arrays::points("first", first)).transpose()?;
         let mesh = Mesh { topology: Arc::clone(&topology.inner), vertices };
         let cell = watched(py, progress, |watch| {
             ExtractorCell::try_new(mesh, |mesh| {
-                PatchExtractor::watched(&mesh.topology, &mesh.vertices, params, watch)
+                let first = first.unwrap_or(&mesh.vertices);
+                PatchExtractor::watched(&mesh.topology, &mesh.vertices, first, params, watch)
             })
         })?;
         Ok(Self { cell })

@@ -13,10 +13,13 @@ from gcnd.nn.networks import CentreNormalNet, NetworkConfig, NodeNormalNet, buil
 Network = TypeVar("Network", bound=nn.Module)
 
 
+OPTIONAL_CHANNELS = {"vertex_offsets": 9, "scale_space": 9, "first_normals": 9, "roughness": 4}
+"""Fields of ``PatchConfig`` that add channels to the paper's eight, in their order in the features."""
+
 _CHOICES: dict[str, tuple[str | bool, ...]] = {
     "budget": ("nearest", "random"),
     "voting_region": ("patch", "two_ring", "nobody"),
-    **dict.fromkeys(("vertex_offsets", "scale_space", "roughness"), (False, True)),
+    **dict.fromkeys(OPTIONAL_CHANNELS, (False, True)),
 }
 
 MOST_PASSES, MOST_ITERATIONS = 100, 10_000
@@ -41,6 +44,8 @@ class PatchConfig:
         vertex_offsets: Whether nine channels of vertex offsets follow the paper's eight.
         scale_space: Whether nine channels follow with the face's normals once the mesh is smoothed by 1, 4 and 16
             iterations. Choice: docs/choices.md#features.
+        first_normals: Whether nine channels follow with the face's normals in the mesh before its first pass, as it
+            was and smoothed by 1 and 4 iterations: what earlier passes took away. Choice: docs/choices.md#features.
         roughness: Whether four channels follow that say how rough the whole noisy mesh is, the same on every node and
             in every pass. Choice: docs/choices.md#mesh-roughness.
     """
@@ -52,6 +57,7 @@ class PatchConfig:
     sigma_vote: float = 1 / 3
     vertex_offsets: bool = True
     scale_space: bool = False
+    first_normals: bool = False
     roughness: bool = False
 
     def __post_init__(self) -> None:
@@ -71,8 +77,8 @@ class PatchConfig:
 
     @property
     def n_channels(self) -> int:
-        """Channels of the features: 8, 9 each for vertex offsets and the scale space, 4 for the roughness."""
-        return 8 + 9 * self.vertex_offsets + 9 * self.scale_space + 4 * self.roughness
+        """Channels of the features: 8, and those of `OPTIONAL_CHANNELS` that there are."""
+        return 8 + sum(n for name, n in OPTIONAL_CHANNELS.items() if getattr(self, name))
 
 
 @dataclass(frozen=True)

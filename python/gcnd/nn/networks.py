@@ -2,7 +2,7 @@
 
 Input of both: features (P, N, C_in) as patch extraction writes them, and static neighbours (P, N, 3), int32.
 Channels of the features: centroid (3), normal (3), area, degree, then the vertex offsets (9), the normals of the
-scale space (9) and the roughness of the mesh (4) where present.
+scale space (9), the normals before the first pass (9) and the roughness of the mesh (4) where present.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class NetworkConfig:
     Attributes:
         architecture: "centre" (the paper's) or "nodes" (ours); "transformed-centre" and "transformed-nodes" are the
             same behind a spatial transformer (an ablation of paper Sec. 7.5).
-        in_channels: 8, 9 each for vertex offsets and the scale space, and 4 for the roughness of the mesh.
+        in_channels: 8, 9 each for vertex offsets, the scale space and the normals before the first pass, and 4 for the
+            roughness of the mesh.
         static_channels: Channels of the static EdgeConv layers (L_e); empty for a dynamic-only network.
         dynamic_channels: Channels of the dynamic EdgeConv layers (L_d); empty for a static-only network.
         pool_channels: Channels of the layer before pooling.
@@ -62,8 +63,8 @@ class NetworkConfig:
             raise ConfigError(f"architecture is {self.architecture!r}, allowed: {allowed}")
         if self.norm_order not in ("edge", "node"):
             raise ConfigError(f"norm_order is {self.norm_order!r}, allowed: 'edge' or 'node'")
-        if self.in_channels not in (8, 12, 17, 21, 26, 30):
-            raise ConfigError(f"in_channels is {self.in_channels}, allowed: 8, 12, 17, 21, 26 or 30")
+        if self.in_channels not in (8, 12, 17, 21, 26, 30, 35, 39):
+            raise ConfigError(f"in_channels is {self.in_channels}, allowed: 8, 12, 17, 21, 26, 30, 35 or 39")
         if not self.static_channels and not self.dynamic_channels:
             raise ConfigError("a network needs at least one static or dynamic layer")
         if not self.head_channels:

@@ -48,6 +48,7 @@ def run_stages(
             network,
             seed=seed + index,
             roughness=mesh.roughness,
+            first=mesh.first,
             device=device,
             precision=precision,
         )
@@ -60,6 +61,7 @@ class _Member(NamedTuple):
     shape: int
     vertices: NDArray[np.float32]
     roughness: NDArray[np.float64]
+    first: NDArray[np.float32]
 
 
 class DenoisedPool:
@@ -95,6 +97,7 @@ class DenoisedPool:
                     fingerprint=prints[index],
                     vertices=denoised.vertices.astype(np.float32),
                     roughness=denoised.roughness,
+                    first=noisy.vertices.astype(np.float32),
                 )
             self.members.append(_load(path, prints))
             if progress is not None:
@@ -103,7 +106,8 @@ class DenoisedPool:
     def draw(self, rng: np.random.Generator) -> NoisyMesh:
         """Returns a clean shape with its denoised positions."""
         member = self.members[int(rng.integers(len(self.members)))]
-        return NoisyMesh(self.shapes[member.shape], member.vertices.astype(np.float64), member.roughness)
+        positions = (member.vertices.astype(np.float64), member.first.astype(np.float64))
+        return NoisyMesh(self.shapes[member.shape], positions[0], member.roughness, positions[1])
 
 
 def fingerprint(shape: CleanShape) -> str:
@@ -121,7 +125,7 @@ def fingerprint(shape: CleanShape) -> str:
 
 def _load(path: Path, prints: list[str]) -> _Member:
     with np.load(path, allow_pickle=False) as file:
-        member = _Member(int(file["shape"]), file["vertices"], file["roughness"])
+        member = _Member(int(file["shape"]), file["vertices"], file["roughness"], file["first"])
         same = member.shape < len(prints) and str(file["fingerprint"]) == prints[member.shape]
     if not same:
         raise ConfigError(

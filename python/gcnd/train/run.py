@@ -14,7 +14,7 @@ from gcnd import _geom
 from gcnd.denoise import denoise_arrays
 from gcnd.errors import ConfigError
 from gcnd.formats.atomic import write_atomic_npz
-from gcnd.nn.cascade import Cascade, written_out
+from gcnd.nn.cascade import OPTIONAL_CHANNELS, Cascade, written_out
 from gcnd.nn.distributed import first_process_first, process_rank
 from gcnd.nn.networks import build_network
 from gcnd.predict import fast_precision, predict_normals
@@ -106,7 +106,7 @@ class TrainingRun:
     def _save_examples(self, cascade: Cascade) -> None:
         """Validation meshes before and after, for the report: ``example-<i>.npz``."""
         ready = cascade.for_inference().to(self.device)
-        for number, (shape, noisy, _) in enumerate(self.corpus.validation[:N_EXAMPLES], start=1):
+        for number, (shape, noisy, _, _) in enumerate(self.corpus.validation[:N_EXAMPLES], start=1):
             denoised = denoise_arrays(noisy, shape.faces, ready, device=self.device)
             write_atomic_npz(
                 self.folder / f"example-{number}.npz",
@@ -176,21 +176,27 @@ class TrainingRun:
     def _initial_weights(
         self, index: int, config: TrainConfig, earlier: list[tuple[StageConfig, nn.Module]]
     ) -> dict[str, torch.Tensor] | None:
-        """Weights of the same stage in ``start_from``, else of the stage before, where layouts agree."""
+        """Weights of the same stage in ``start_from``, else of the stage before, where they fit."""
         if self.start is not None and index < len(self.start.stages):
             given = self.start.config.stages[index]
             return widened(self.start.stages[index].state_dict(), given, config.stage)
-        if self.recipe.warm_start and earlier and earlier[-1][0].network == config.stage.network:
-            return earlier[-1][1].state_dict()
+        if self.recipe.warm_start and earlier and fits(earlier[-1][0], config.stage):
+            return widened(earlier[-1][1].state_dict(), earlier[-1][0], config.stage)
         return None
 
     def _validate(self, trainer: Trainer, config: TrainConfig, starts: list[NoisyMesh]) -> float:
         """Mean E_a of the averaged weights' normals on the validation meshes, in degrees."""
         network = evaluation_copy(trainer.network, trainer.average.state)
         errors = []
-        for shape, vertices, roughness in starts:
+        for shape, vertices, roughness, first in starts:
             prediction = predict_normals(
-                shape.topology, vertices, config.stage, network, roughness=roughness, device=self.device
+                shape.topology,
+                vertices,
+                config.stage,
+                network,
+                roughness=roughness,
+                first=first,
+                device=self.device,
             )
             errors.append(float(np.nanmean(_geom.normal_angles(prediction.normals, shape.normals))))
         return float(np.mean(errors))
@@ -226,8 +232,7 @@ def widened(
 ) -> dict[str, torch.Tensor]:
     """Fits weights to a network of the same layout that may see more: the scale space, the roughness of the mesh.
 
-    The weights of the new channels, which are the last ones, are zero, so that both networks answer the same. Patches
-    may be of another size.
+    The weights of new channels are zero, so that both networks answer the same. Patches may be of another size.
 
     Args:
         state: Weights of a network.
@@ -247,25 +252,41 @@ def widened(
         >>> widened(weights, stage, stage).keys() == weights.keys()
         True
     """
-    lack = wanted.network.in_channels - given.network.in_channels
-    fitted = replace(given.network, in_channels=wanted.network.in_channels)
-    patch = replace(
-        given.patch,
-        scale_space=wanted.patch.scale_space,
-        roughness=wanted.patch.roughness,
-        patch_scale=wanted.patch.patch_scale,
-        n_nodes=wanted.patch.n_nodes,
-    )
-    # Between the channels that there are, none can be added.
-    in_between = given.patch.roughness and patch.scale_space != given.patch.scale_space
-    unfit = lack < 0 or in_between or (lack and not fitted.static_channels)
-    if unfit or fitted != wanted.network or patch != wanted.patch:
+    if not fits(given, wanted):
         raise ConfigError(
             "the weights to start from have another layout than the recipe's networks",
             hint="start from weights of the same recipe, or leave out --start-from",
         )
-    names = [f"trunk.static.0.{part}.weight" for part in ("center", "neighbor")] if lack else []
-    return state | {name: torch.nn.functional.pad(state[name], (0, lack)) for name in names}
+    if given.patch.n_channels == wanted.patch.n_channels:
+        return state
+    # Of every channel that is wanted, whether the weights know it.
+    known = [True] * 8
+    for name, n in OPTIONAL_CHANNELS.items():
+        known += [getattr(given.patch, name)] * n * getattr(wanted.patch, name)
+    names = [f"trunk.static.0.{part}.weight" for part in ("center", "neighbor")]
+    return state | {name: _spread(state[name], torch.tensor(known)) for name in names}
+
+
+def fits(given: StageConfig, wanted: StageConfig) -> bool:
+    """Whether weights of one stage can start another: of its layout, and with no channel that it has not."""
+    network = replace(given.network, in_channels=wanted.network.in_channels)
+    size = replace(given.patch, patch_scale=wanted.patch.patch_scale, n_nodes=wanted.patch.n_nodes)
+    patch = replace(size, **{name: getattr(wanted.patch, name) for name in OPTIONAL_CHANNELS})
+    fewer = any(getattr(given.patch, name) and not getattr(wanted.patch, name) for name in OPTIONAL_CHANNELS)
+    same = given.patch.n_channels == wanted.patch.n_channels
+    return (
+        not fewer
+        and network == wanted.network
+        and patch == wanted.patch
+        and (same or bool(network.static_channels))
+    )
+
+
+def _spread(columns: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
+    """Puts columns (R, n) where ``known`` (N,) is true, n times, and zeros elsewhere."""
+    out = columns.new_zeros(len(columns), len(known))
+    out[:, known] = columns
+    return out
 
 
 def adapted(

@@ -134,16 +134,18 @@ class NoisyMesh(NamedTuple):
         shape: The clean mesh.
         vertices: (V, 3) float64, noisy, or denoised by earlier stages.
         roughness: Of the mesh with its noise, before any stage (4,); see ``_geom.mesh_roughness``.
+        first: Positions (V, 3) float64 before any stage.
     """
 
     shape: CleanShape
     vertices: NDArray[np.float64]
     roughness: NDArray[np.float64]
+    first: NDArray[np.float64]
 
     @classmethod
     def untouched(cls, shape: CleanShape, vertices: NDArray[np.float64]) -> NoisyMesh:
         """Makes one of positions that no stage has denoised yet."""
-        return cls(shape, vertices, _geom.mesh_roughness(shape.topology, vertices))
+        return cls(shape, vertices, _geom.mesh_roughness(shape.topology, vertices), vertices)
 
 
 class VertexSource(Protocol):
@@ -205,10 +207,10 @@ def make_chunk(source: VertexSource, patch: PatchConfig, config: ChunkConfig, se
 def _patches_of_one_mesh(
     source: VertexSource, patch: PatchConfig, count: int, config: ChunkConfig, rng: np.random.Generator
 ) -> Batch:
-    shape, vertices, roughness = source.draw(rng)
+    shape, vertices, roughness, first = source.draw(rng)
     if patch.roughness:
         roughness = blurred(roughness, rng)
-    extractor = make_extractor(shape.topology, vertices, patch, int(rng.integers(2**31)), roughness)
+    extractor = make_extractor(shape.topology, vertices, patch, int(rng.integers(2**31)), roughness, first)
     patches = PatchArrays(count, patch)
     # In order of id, neighbouring patches find each other's faces in the cache; chunks are shuffled later.
     patches.fill(extractor, np.sort(pick_faces(shape, count, config.balance_ratio, rng)))

@@ -2,7 +2,6 @@
 
 use super::id_slots::{IdSlots, NO_SLOT};
 use super::roughness::roughness_channel;
-use super::scale_space::SCALES;
 use super::select::Candidate;
 use super::voting::LocalFace;
 use crate::topology::Topology;
@@ -22,7 +21,9 @@ pub(crate) struct PatchView<'a> {
     pub(crate) vertices: &'a [DVec3],
     pub(crate) centroids: &'a [DVec3],
     /// Normals at several scales, empty where nodes do not carry them.
-    pub(crate) scale_space: &'a [[DVec3; SCALES.len()]],
+    pub(crate) scale_space: &'a [[DVec3; 3]],
+    /// The same of the mesh before its first pass.
+    pub(crate) first_normals: &'a [[DVec3; 3]],
     /// Of the whole mesh in mesh units, empty where nodes do not carry it.
     pub(crate) roughness: &'a [f64],
     /// ā in mesh units.
@@ -75,7 +76,7 @@ pub(crate) fn write_graph(view: &PatchView<'_>, node_of_face: &mut IdSlots, row:
 }
 
 /// Channels: centroid (3), normal (3), area (1), degree (1), three vertex offsets (9) where there is room, and the
-/// normals of the scale space (9) and the roughness of the mesh (4) where there are.
+/// normals of the scale space (9), those before the first pass (9) and the roughness of the mesh (4) where there are.
 #[inline]
 fn write_features(view: &PatchView<'_>, face_id: u32, local: &LocalFace, features: &mut [f32]) {
     let axes = &view.world_from_patch;
@@ -88,17 +89,16 @@ fn write_features(view: &PatchView<'_>, face_id: u32, local: &LocalFace, feature
     for (channel, &value) in of_mesh.iter_mut().zip(view.roughness) {
         *channel = roughness_channel(value, view.mean_area);
     }
-    let n_scaled = if view.scale_space.is_empty() { 0 } else { 3 * SCALES.len() };
+    let at_scales = [view.scale_space, view.first_normals].map(|normals| normals.get(face_id as usize));
+    let n_scaled = 9 * at_scales.iter().flatten().count();
     let (offsets, normals) = rest.split_at_mut(rest.len() - n_scaled);
     if !offsets.is_empty() {
         for (offset, out) in vertex_offsets(view, face_id).into_iter().zip(offsets.chunks_exact_mut(3)) {
             write_rotated(axes, offset, out);
         }
     }
-    if let Some(at_scales) = view.scale_space.get(face_id as usize) {
-        for (normal, out) in at_scales.iter().zip(normals.chunks_exact_mut(3)) {
-            write_rotated(axes, *normal, out);
-        }
+    for (normal, out) in at_scales.into_iter().flatten().flatten().zip(normals.chunks_exact_mut(3)) {
+        write_rotated(axes, *normal, out);
     }
 }
 

@@ -44,7 +44,7 @@ use crate::watch::{Ticks, Watch};
 use glam::{DMat3, DVec3};
 use graph::{PatchRow, PatchView, write_graph};
 use rayon::prelude::*;
-use scale_space::{SCALES, scale_space_normals};
+use scale_space::{FIRST_SCALES, SCALES, scale_space_normals};
 use select::{PatchScale, SelectScratch, VertexTree};
 use symmetric_eigen::Symmetric3;
 use voting::LocalFace;
@@ -79,7 +79,9 @@ pub struct PatchExtractor<'a> {
     geometry: FaceGeometry,
     tree: VertexTree,
     /// Normals of every face at several scales; empty without them.
-    scale_space: Vec<[DVec3; SCALES.len()]>,
+    scale_space: Vec<[DVec3; 3]>,
+    /// The same of the mesh before its first pass.
+    first_normals: Vec<[DVec3; 3]>,
     params: PatchParams,
 }
 
@@ -89,8 +91,9 @@ pub struct PatchBuffers<'a> {
     /// (P, N, C) without unit, in the patch frame. Channels: 0–2 centroid (c_j − c_i)/r; 3–5 normal n_j;
     /// 6 area a_j/ā, ā the mean over the centre and its 2-ring; 7 degree, edge neighbours/3; and with vertex
     /// offsets 8–16, (v − c_j)/r of the three vertices in the face's order, first the one nearest to c_i; with a
-    /// scale space 9 more, the face's normals once the mesh is smoothed by 1, 4 and 16 iterations; with a roughness 4
-    /// more, the same on every node of a patch: its log₁₀ in units of √ā, within −4 to 1.
+    /// scale space 9 more, the face's normals once the mesh is smoothed by 1, 4 and 16 iterations; with first normals 9
+    /// more, the face's normals before the first pass, as they are and smoothed by 1 and 4; with a roughness 4 more, the
+    /// same on every node of a patch: its log₁₀ in units of √ā, within −4 to 1.
     pub features: &'a mut [f32],
     /// (P, N, 3) nodes of the patch across the edges of each node's face; the node itself where there is none.
     pub neighbors: &'a mut [i32],
@@ -127,16 +130,18 @@ impl<'a> PatchExtractor<'a> {
     /// [`GeomError::EmptyMesh`], [`GeomError::LengthMismatch`] when `topology` counts other vertices,
     /// [`GeomError::NonFiniteVertex`], [`GeomError::InvalidParameter`].
     pub fn new(topology: &'a Topology, vertices: &'a [DVec3], params: PatchParams) -> Result<Self> {
-        Self::watched(topology, vertices, params, &mut Watch::silent())
+        Self::watched(topology, vertices, vertices, params, &mut Watch::silent())
     }
 
-    /// [`PatchExtractor::new`], watched: `watch` hears of the geometry, the tree and every iteration of the scale space.
+    /// [`PatchExtractor::new`] of a mesh that `first` (V) are the positions of before its first pass, watched: `watch`
+    /// hears of the geometry, the tree and every iteration of the scale space.
     ///
     /// # Errors
-    /// Those of [`PatchExtractor::new`], and [`GeomError::Cancelled`].
+    /// Those of [`PatchExtractor::new`], also for `first`, and [`GeomError::Cancelled`].
     pub fn watched(
         topology: &'a Topology,
         vertices: &'a [DVec3],
+        first: &[DVec3],
         params: PatchParams,
         watch: &mut Watch<'_>,
     ) -> Result<Self> {
@@ -145,19 +150,21 @@ impl<'a> PatchExtractor<'a> {
         if topology.n_faces() == 0 {
             return Err(GeomError::EmptyMesh);
         }
+        check_len("first", topology.n_vertices(), first.len())?;
         check_vertices(vertices)?;
-        let iterations = if params.scale_space { SCALES[SCALES.len() - 1] } else { 0 };
+        check_vertices(first)?;
+        let fields = [(params.scale_space, vertices, SCALES), (params.first_normals, first, FIRST_SCALES)];
+        let iterations: usize = fields.iter().map(|(asked, _, scales)| usize::from(*asked) * scales[2]).sum();
         let mut ticks = Ticks::new(2 + iterations, watch);
         let geometry = FaceGeometry::compute(vertices, topology.faces());
         ticks.tick()?;
         let tree = VertexTree::new(topology, vertices);
         ticks.tick()?;
-        let scale_space = if params.scale_space {
-            scale_space_normals(topology, vertices, &mut ticks)?
-        } else {
-            Vec::new()
+        let mut at_scales = |(asked, vertices, scales)| {
+            if asked { scale_space_normals(topology, vertices, scales, &mut ticks) } else { Ok(Vec::new()) }
         };
-        Ok(Self { topology, vertices, geometry, tree, scale_space, params })
+        let [scale_space, first_normals] = [at_scales(fields[0])?, at_scales(fields[1])?];
+        Ok(Self { topology, vertices, geometry, tree, scale_space, first_normals, params })
     }
 
     /// Normals, centroids and areas of the mesh.
@@ -170,8 +177,7 @@ impl<'a> PatchExtractor<'a> {
         &self.params
     }
 
-    /// Channels of [`PatchBuffers::features`]: 8, 9 each for vertex offsets and the scale space, 4 for the
-    /// roughness.
+    /// Channels of [`PatchBuffers::features`]; see [`PatchParams::n_channels`].
     pub fn n_channels(&self) -> usize {
         self.params.n_channels()
     }
@@ -250,6 +256,7 @@ impl<'a> PatchExtractor<'a> {
             vertices: self.vertices,
             centroids: &self.geometry.centroids,
             scale_space: &self.scale_space,
+            first_normals: &self.first_normals,
             roughness: self.params.roughness.as_ref().map_or(&[], |roughness| roughness),
             mean_area: scale.mean_area,
             candidates: &select.candidates,

@@ -63,6 +63,9 @@ pub struct PatchParams {
     pub vertex_offsets: bool,
     /// Whether nodes carry the normals of the mesh at three scales (9 more channels).
     pub scale_space: bool,
+    /// Whether nodes carry the normals of the mesh before its first pass, as they are and at two scales (9 more
+    /// channels).
+    pub first_normals: bool,
     /// The roughness of the whole mesh in mesh units, of which every node carries the logarithm (4 more channels);
     /// see [`super::mesh_roughness`].
     pub roughness: Option<[f64; ROUGHNESS_QUANTILES.len()]>,
@@ -80,6 +83,7 @@ impl Default for PatchParams {
             sigma_vote: 1.0 / 3.0,
             vertex_offsets: true,
             scale_space: false,
+            first_normals: false,
             roughness: None,
         }
     }
@@ -109,9 +113,11 @@ impl PatchParams {
         check(roughness_ok, "roughness", format!("{roughness:?}"), "finite numbers from 0 on")
     }
 
-    /// Features of a node: 8, 9 each for vertex offsets and the scale space, and 4 for the roughness.
+    /// Features of a node: 8, 9 each for vertex offsets, the scale space and the normals before the first pass, and 4
+    /// for the roughness.
     pub fn n_channels(&self) -> usize {
         let n_mesh = if self.roughness.is_some() { ROUGHNESS_QUANTILES.len() } else { 0 };
-        8 + 9 * usize::from(self.vertex_offsets) + 9 * usize::from(self.scale_space) + n_mesh
+        let nines = [self.vertex_offsets, self.scale_space, self.first_normals];
+        8 + 9 * nines.into_iter().filter(|&has| has).count() + n_mesh
     }
 }

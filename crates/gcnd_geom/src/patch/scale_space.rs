@@ -10,31 +10,35 @@ use rayon::prelude::*;
 /// Iterations after which the normals are taken.
 pub(crate) const SCALES: [usize; 3] = [1, 4, 16];
 
+/// The same for the mesh before its first pass, its normals as they are among them.
+pub(crate) const FIRST_SCALES: [usize; 3] = [0, 1, 4];
+
 /// A smoothed face with a smaller part of its area than this has shrunk to rounding errors.
 const SMALLEST_AREA: f64 = 1e-12;
 
 /// Faces or vertices of one unit of parallel work.
 const CHUNK: usize = 4096;
 
-/// Unit normals of every face (F), at each of [`SCALES`], of the mesh smoothed by
+/// Unit normals of every face (F), after each of `scales` iterations, in rising order, of the mesh smoothed by
 /// v_i ← 1 / |F_i| · Σ_{f ∈ F_i} c_f, with F_i the faces of v_i and c_f their centroids.
 ///
 /// Where triangles are small against the noise their own normals say little, and these say more. A face that has no
 /// area when smoothed, or 10⁻¹² of what it had, as on a small component that shrinks to a point, has a zero normal
-/// there; vertices without faces stay. `ticks` counts the iterations, as many as the last of [`SCALES`].
+/// there; vertices without faces stay. `ticks` counts the iterations, as many as the last of `scales`.
 ///
 /// Choice: docs/choices.md#features.
 pub(crate) fn scale_space_normals(
     topology: &Topology,
     vertices: &[DVec3],
+    scales: [usize; 3],
     ticks: &mut Ticks<'_, '_>,
-) -> Result<Vec<[DVec3; SCALES.len()]>> {
-    let mut normals = vec![[DVec3::ZERO; SCALES.len()]; topology.n_faces()];
+) -> Result<Vec<[DVec3; 3]>> {
+    let mut normals = vec![[DVec3::ZERO; 3]; topology.n_faces()];
     let mut centroids = vec![DVec3::ZERO; topology.n_faces()];
     let mut current = vertices.to_vec();
     let mut next = current.clone();
     let mut done = 0;
-    for (scale, &iterations) in SCALES.iter().enumerate() {
+    for (scale, &iterations) in scales.iter().enumerate() {
         for _ in done..iterations {
             place_centroids(topology, &current, &mut centroids);
             average(topology, &current, &centroids, &mut next);
@@ -78,8 +82,9 @@ mod tests {
     use crate::fixtures;
     use crate::watch::Watch;
 
-    fn normals_at_scales(topology: &Topology, vertices: &[DVec3]) -> Vec<[DVec3; SCALES.len()]> {
-        scale_space_normals(topology, vertices, &mut Ticks::new(16, &mut Watch::silent())).expect("goes on")
+    fn normals_at_scales(topology: &Topology, vertices: &[DVec3]) -> Vec<[DVec3; 3]> {
+        scale_space_normals(topology, vertices, SCALES, &mut Ticks::new(16, &mut Watch::silent()))
+            .expect("goes on")
     }
 
     #[test]
