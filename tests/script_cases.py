@@ -1,4 +1,4 @@
-"""The programs of scripts/, for the tests of what is in them."""
+"""The programs of scripts/ and benches/, for the tests of what is in them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from types import ModuleType
 ROOT = Path(__file__).parent.parent
 
 
-def script(name: str) -> ModuleType:
+def script(name: str, folder: str = "scripts") -> ModuleType:
     """A program as a module."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(name, ROOT / folder / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
