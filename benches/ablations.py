@@ -15,11 +15,14 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from torch import nn
 
 from gcnd.data.noise import add_noise
 from gcnd.denoise import denoise_arrays
@@ -38,6 +41,7 @@ N_SHAPES, POOL_SIZE = 240, 30
 SHAPE_SEED = 10
 COVERAGE = 0.7
 NODES_A_STEP = 256 * 64
+COLUMNS = ("cad", "smooth", "feature", *(f"noise {level}" for level in LEVELS), "all")
 
 
 def normal_noise(rng: np.random.Generator) -> NoiseDraw:
@@ -138,7 +142,27 @@ GROUPS: dict[str, dict[str, Variant]] = {
 """By what is varied. In the paper's Sec. 7.5: patch scale, layers, networks, alignment, balance, graph and K."""
 
 
-def train(variant: Variant, steps: int, shapes: list[CleanShape], folder: Path) -> tuple[Cascade, float]:
+@cache
+def training_shapes(folder: Path) -> list[CleanShape]:
+    """The shapes that all variants are trained on, read once."""
+    return generated_shapes(N_SHAPES, SHAPE_SEED, folder)
+
+
+@cache
+def test_shapes(folder: Path) -> list[CleanShape]:
+    """The shapes that all variants are tested on."""
+    return generated_shapes(N_TESTED, VALIDATION_SEED, folder)
+
+
+def finished(trainer: Trainer) -> tuple[nn.Module, int]:
+    """Trains to the last step; returns the network with its averaged weights, and patches/s."""
+    speeds: list[float] = []
+    trainer.run(lambda report: speeds.append(report.patches_per_second))
+    trainer.network.load_state_dict(trainer.average.state)
+    return trainer.network.eval(), round(speeds[-1])
+
+
+def train(variant: Variant, steps: int, shapes: list[CleanShape], folder: Path) -> tuple[Cascade, int]:
     """Trains a variant's networks one after the other; returns the cascade and patches/s of the first."""
     stages: list[tuple[StageConfig, Any]] = []
     noise = FreshNoise(shapes, variant.noise)
@@ -150,12 +174,11 @@ def train(variant: Variant, steps: int, shapes: list[CleanShape], folder: Path) 
             if index
             else noise
         )
-        trainer = Trainer(replace(config, seed=index), source, state)
-        trainer.run(lambda report: speeds.append(report.patches_per_second))
-        state = trainer.average.state
-        trainer.network.load_state_dict(state)
-        stages.append((config.stage, trainer.network.eval()))
-    return Cascade.assembled(stages, RefinementConfig(iterations=0)), speeds[steps - 1]
+        network, speed = finished(Trainer(replace(config, seed=index), source, state))
+        state = network.state_dict()
+        speeds.append(speed)
+        stages.append((config.stage, network))
+    return Cascade.assembled(stages, RefinementConfig(iterations=0)), speeds[0]
 
 
 def tested(cascade: Cascade, shapes: list[CleanShape]) -> dict[str, float]:
@@ -171,39 +194,59 @@ def tested(cascade: Cascade, shapes: list[CleanShape]) -> dict[str, float]:
     return {key: round(float(np.mean(values)), 3) for key, values in errors.items()}
 
 
-def main() -> None:
-    """Fills a group's lines in and prints them as a table."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("group", choices=list(GROUPS))
+def kept(results: Path, key: str, measure: Callable[[], dict[str, float]]) -> dict[str, float]:
+    """Returns a line of a file of results, measured where it is not there yet."""
+    rows: dict[str, dict[str, float]] = json.loads(results.read_text()) if results.exists() else {}
+    if key not in rows:
+        rows[key] = measure()
+        results.write_text(json.dumps(rows, indent=1))
+    return rows[key]
+
+
+def print_header(about: str) -> None:
+    """Prints the first two lines of a table of ``print_row``."""
+    print(f"| {about} | weights | patches/s | " + " | ".join(COLUMNS) + " |")
+    print("|---" * (3 + len(COLUMNS)) + "|", flush=True)
+
+
+def print_row(name: str, row: dict[str, float]) -> None:
+    """Prints one line of a table: weights, patches/s and what ``tested`` says."""
+    figures = " | ".join(f"{row[column]:.2f}" for column in COLUMNS)
+    print(f"| {name} | {row['weights']:,} | {row['patches_per_second']:,} | {figures} |", flush=True)
+
+
+def options_of(text: str, group: Sequence[str] = ()) -> argparse.Namespace:
+    """Reads the command line: steps and folders, and one of a list where there is one."""
+    parser = argparse.ArgumentParser(description=text.split("\n")[0])
+    if group:
+        parser.add_argument("group", choices=group)
     parser.add_argument("--steps", type=int, default=1000, help="of 16,384 patch nodes, for each network")
     parser.add_argument("--shapes", type=Path, default=Path("runs/shapes"))
     parser.add_argument("--out", type=Path, default=Path("runs/ablations"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    results = options.out / "results.json"
-    shapes: list[CleanShape] = []
-    test_shapes = generated_shapes(N_TESTED, VALIDATION_SEED, options.shapes)
-    columns = ["cad", "smooth", "feature", *(f"noise {level}" for level in LEVELS), "all"]
-    print(f"| {options.group} | weights | patches/s | " + " | ".join(columns) + " |")
-    print("|---" * (3 + len(columns)) + "|")
+    return options
+
+
+def main() -> None:
+    """Fills a group's lines in and prints them as a table."""
+    options = options_of(__doc__, list(GROUPS))
+
+    def measured(key: str, variant: Variant) -> dict[str, float]:
+        cascade, speed = train(variant, options.steps, training_shapes(options.shapes), options.out)
+        # Commas part the methods of gcnd compare.
+        name_of_file = key.replace(", ", "-").replace(" ", "-").replace("/", "_")
+        path = options.out / f"{name_of_file}.safetensors"
+        save_cascade(path, cascade, {"recipe": key})
+        weights = sum(p.numel() for p in cascade.parameters())
+        about = {"weights": weights, "patches_per_second": speed}
+        return about | tested(load_cascade(str(path)), test_shapes(options.shapes))
+
+    print_header(options.group)
     for name, variant in GROUPS[options.group].items():
-        rows = json.loads(results.read_text()) if results.exists() else {}
         # A variant that is the recipe itself is trained once for all groups.
         key = f"{'recipe' if variant == Variant() else f'{options.group} {name}'}, {options.steps} steps"
-        if key not in rows:
-            shapes = shapes or generated_shapes(N_SHAPES, SHAPE_SEED, options.shapes)
-            cascade, speed = train(variant, options.steps, shapes, options.out)
-            # Commas part the methods of gcnd compare.
-            name_of_file = key.replace(", ", "-").replace(" ", "-").replace("/", "_")
-            path = options.out / f"{name_of_file}.safetensors"
-            save_cascade(path, cascade, {"recipe": key})
-            weights = sum(p.numel() for p in cascade.parameters())
-            about = {"weights": weights, "patches_per_second": round(speed)}
-            rows[key] = about | tested(load_cascade(str(path)), test_shapes)
-            results.write_text(json.dumps(rows, indent=1))
-        row = rows[key]
-        figures = " | ".join(f"{row[column]:.2f}" for column in columns)
-        print(f"| {name} | {row['weights']:,} | {row['patches_per_second']:,} | {figures} |", flush=True)
+        print_row(name, kept(options.out / "results.json", key, partial(measured, key, variant)))
 
 
 if __name__ == "__main__":
