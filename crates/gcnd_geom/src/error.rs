@@ -54,7 +54,7 @@ pub enum GeomError {
         /// How many there may be.
         limit: usize,
     },
-    /// Positions left every sensible bound, or became NaN, during a filter.
+    /// Positions left the bounding box by more than its longest side, something became NaN, or a system could not be solved.
     #[error("the filter diverged in iteration {iteration}; the input is unchanged")]
     Diverged {
         /// The iteration, counted from 1 over all of the filter's steps.

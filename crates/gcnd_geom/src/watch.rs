@@ -70,8 +70,9 @@ impl<'r, 'w> Ticks<'r, 'w> {
     }
 }
 
-/// Positions may leave the input's bounding box by so many times its longest side.
-const ROOM: f64 = 10.0;
+/// Positions may leave the input's bounding box by so many times its longest side. What removes noise moves vertices by a
+/// few edges; what goes on growing is to be told, not returned.
+const ROOM: f64 = 1.0;
 
 /// One filter at work on one mesh, in units in which the mesh is about 1 wide.
 ///
@@ -101,14 +102,25 @@ impl<'r, 'w> Run<'r, 'w> {
         let scale = unit_scale((high - low).max_element());
         let (low, high) = (low * scale, high * scale);
         let room = DVec3::splat(ROOM * (high - low).max_element());
+        // Beyond it, positions would be infinite in mesh units.
+        let most = DVec3::splat(f64::MAX * scale);
+        let (low, high) = ((low - room).max(-most), (high + room).min(most));
         let positions = vertices.iter().map(|v| *v * scale).collect();
         let ticks = Ticks::new(total, watch);
-        Ok((Self { ticks, scale, low: low - room, high: high + room }, positions))
+        Ok((Self { ticks, scale, low, high }, positions))
     }
 
     /// Counts an iteration that changed no positions.
     pub fn tick(&mut self) -> Result<()> {
         self.ticks.tick()
+    }
+
+    /// Counts an iteration, and stops if one of its normals is no longer a number.
+    pub fn tick_normals(&mut self, normals: &[DVec3]) -> Result<()> {
+        if !normals.par_iter().with_min_len(1 << 14).all(|n| n.is_finite()) {
+            return Err(self.diverged());
+        }
+        self.tick()
     }
 
     /// Counts an iteration, and stops if its positions are out of all bounds.
@@ -169,13 +181,29 @@ mod tests {
     #[test]
     fn leaving_the_bounds_is_told_with_the_iteration() {
         let (topology, vertices) = started(1.0);
-        for bad in [DVec3::NAN, DVec3::splat(12.0), DVec3::NEG_INFINITY] {
+        for bad in [DVec3::NAN, DVec3::splat(2.5), DVec3::NEG_INFINITY] {
             let mut watch = Watch::silent();
             let (mut run, mut positions) = Run::start(&topology, &vertices, 5, &mut watch).expect("valid");
             assert_eq!(run.tick_positions(&positions), Ok(()));
             positions[3] = bad;
             assert_eq!(run.tick_positions(&positions), Err(GeomError::Diverged { iteration: 2 }));
         }
+        let mut watch = Watch::silent();
+        let (mut run, mut normals) = Run::start(&topology, &vertices, 5, &mut watch).expect("valid");
+        assert_eq!(run.tick_normals(&normals), Ok(()));
+        normals[2].z = f64::NAN;
+        assert_eq!(run.tick_normals(&normals), Err(GeomError::Diverged { iteration: 2 }));
+    }
+
+    #[test]
+    fn nothing_beyond_the_largest_number_is_returned() {
+        let (topology, mut vertices) = started(1e-3);
+        vertices[7] = DVec3::splat(f64::MAX);
+        let mut watch = Watch::silent();
+        let (run, mut positions) = Run::start(&topology, &vertices, 5, &mut watch).expect("valid");
+        assert_eq!(run.check_positions(&positions), Ok(()));
+        positions[7] *= 1.001;
+        assert_eq!(run.check_positions(&positions), Err(GeomError::Diverged { iteration: 1 }));
     }
 
     #[test]

@@ -97,7 +97,7 @@ pub fn bilateral_normal(
     watch: &mut Watch<'_>,
 ) -> Result<Vec<DVec3>> {
     params.validate()?;
-    let total = params.normal_iterations + params.vertex_iterations;
+    let total = params.normal_iterations.saturating_add(params.vertex_iterations);
     let (mut run, positions) = Run::start(topology, vertices, total, watch)?;
     let mut current = FaceGeometry::compute(&positions, topology.faces()).normals;
     let mut next = current.clone();
@@ -106,7 +106,7 @@ pub fn bilateral_normal(
     for _ in 0..params.normal_iterations {
         filter.iterate(&current, &mut next, &rows);
         std::mem::swap(&mut current, &mut next);
-        run.tick()?;
+        run.tick_normals(&current)?;
     }
     drop((filter, rows, next));
     move_to_normals(topology, run, positions, &current, params.vertex_iterations, params.fix_boundary)

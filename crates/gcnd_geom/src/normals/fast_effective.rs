@@ -78,7 +78,7 @@ pub fn fast_effective(
     watch: &mut Watch<'_>,
 ) -> Result<Vec<DVec3>> {
     params.validate()?;
-    let total = params.normal_iterations + params.vertex_iterations;
+    let total = params.normal_iterations.saturating_add(params.vertex_iterations);
     let (mut run, positions) = Run::start(topology, vertices, total, watch)?;
     let neighborhood = Neighborhood::SharedVertex;
     let lists = NeighborLists::new(Neighbors { topology, neighborhood, centroids: &[], radius: 0.0 });
@@ -87,7 +87,7 @@ pub fn fast_effective(
     for _ in 0..params.normal_iterations {
         average(&lists, params.threshold, &current, &mut next);
         std::mem::swap(&mut current, &mut next);
-        run.tick()?;
+        run.tick_normals(&current)?;
     }
     move_to_normals(topology, run, positions, &current, params.vertex_iterations, params.fix_boundary)
 }

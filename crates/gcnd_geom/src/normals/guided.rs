@@ -117,7 +117,7 @@ pub fn guided_normal(
             updater.step(&mut positions);
             run.check_positions(&positions)?;
         }
-        run.tick()?;
+        run.tick_normals(&filtered)?;
     }
     Ok(run.finish(positions))
 }

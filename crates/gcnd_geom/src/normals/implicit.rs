@@ -89,7 +89,7 @@ pub fn bilateral_normal_implicit(
     watch: &mut Watch<'_>,
 ) -> Result<Vec<DVec3>> {
     params.validate()?;
-    let (mut run, positions) = Run::start(topology, vertices, 3 + params.vertex_iterations, watch)?;
+    let (mut run, positions) = Run::start(topology, vertices, params.vertex_iterations.saturating_add(3), watch)?;
     let geometry = FaceGeometry::compute(&positions, topology.faces());
     let sigma_s = match params.sigma_s {
         Some(sigma_s) => sigma_s * run.scale,
@@ -140,8 +140,9 @@ impl Energy {
         smoothness: f64,
     ) -> Self {
         let FaceGeometry { normals, centroids, areas } = geometry;
-        let spatial = if sigma_s > 0.0 { -0.5 / (sigma_s * sigma_s) } else { 0.0 };
-        let range = -0.5 / (sigma_r * sigma_r);
+        let spatial = if sigma_s > 0.0 { (-0.5 / (sigma_s * sigma_s)).max(f64::MIN) } else { 0.0 };
+        // Finite, so that equal normals weigh 1 however small σ_r is.
+        let range = (-0.5 / (sigma_r * sigma_r)).max(f64::MIN);
         let kernel = |i: usize, j: usize| {
             // An unknown normal is as near to one as to another.
             let is_known = normals[i] != DVec3::ZERO && normals[j] != DVec3::ZERO;
@@ -164,7 +165,8 @@ impl Energy {
         let per_sum = rows
             .map(|i| {
                 let sum: f64 = row(i).map(|slot| areas[neighbors[slot] as usize] * kernels[slot]).sum();
-                if sum > 0.0 { sum.recip() } else { 0.0 }
+                // One over a subnormal number is infinite.
+                if sum >= f64::MIN_POSITIVE { sum.recip() } else { 0.0 }
             })
             .collect();
         Self { starts, neighbors, kernels, areas: areas.clone(), per_sum, smoothness }
@@ -189,7 +191,7 @@ impl Energy {
             Par::Seq,
             MemStack::new(&mut memory),
         );
-        result.is_ok().then_some(solution)
+        (result.is_ok() && solution.iter().all(|x| x.is_finite())).then_some(solution)
     }
 
     fn sum(&self, i: usize, term: impl Fn(usize) -> f64) -> f64 {

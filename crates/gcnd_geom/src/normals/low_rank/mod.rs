@@ -119,7 +119,8 @@ pub fn low_rank(
     watch: &mut Watch<'_>,
 ) -> Result<Vec<DVec3>> {
     params.validate()?;
-    let total = params.normal_iterations * (GUIDANCE_PASSES + PARTS) + params.vertex_iterations;
+    let of_normals = params.normal_iterations.saturating_mul(GUIDANCE_PASSES + PARTS);
+    let total = of_normals.saturating_add(params.vertex_iterations);
     let (mut run, positions) = Run::start(topology, vertices, total, watch)?;
     let mut normals = FaceGeometry::compute(&positions, topology.faces()).normals;
     for _ in 0..params.normal_iterations {
@@ -129,7 +130,7 @@ pub fn low_rank(
         let mut recovery = Recovery::new(topology, &patches, &noisy, params);
         for part in 0..PARTS {
             recovery.run(part, PARTS);
-            run.tick()?;
+            run.tick_normals(recovery.sums())?;
         }
         let recovered = recovery.finish();
         normals = (topology.faces().par_iter().zip(&normals).with_min_len(CHUNK))
@@ -156,7 +157,7 @@ fn guidance(
     for _ in 0..GUIDANCE_PASSES {
         filter.iterate(&current, &mut next, &rows);
         std::mem::swap(&mut current, &mut next);
-        run.tick()?;
+        run.tick_normals(&current)?;
     }
     Ok(vertex_normals(topology, &current))
 }

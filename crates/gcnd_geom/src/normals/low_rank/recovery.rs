@@ -64,6 +64,11 @@ impl<'a> Recovery<'a> {
         }
     }
 
+    /// The sums so far (V).
+    pub fn sums(&self) -> &[DVec3] {
+        &self.sums
+    }
+
     /// The vertex normals (V): unit, zero where none is known.
     pub fn finish(self) -> Vec<DVec3> {
         self.sums.into_par_iter().map(unit_or_zero).collect()

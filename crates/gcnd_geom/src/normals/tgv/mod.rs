@@ -99,7 +99,7 @@ pub fn tgv(
     watch: &mut Watch<'_>,
 ) -> Result<Vec<DVec3>> {
     params.validate()?;
-    let total = params.normal_iterations + params.vertex_iterations;
+    let total = params.normal_iterations.saturating_add(params.vertex_iterations);
     let (mut run, positions) = Run::start(topology, vertices, total, watch)?;
     let geometry = FaceGeometry::compute(&positions, topology.faces());
     let normals = if params.normal_iterations > 0 {

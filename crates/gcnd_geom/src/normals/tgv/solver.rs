@@ -38,7 +38,7 @@ pub(super) struct Solver<'a> {
 }
 
 impl<'a> Solver<'a> {
-    /// Factorises both systems; `None` if rounding has made one singular.
+    /// Factorises both systems; `None` if rounding has made one singular, or nearly.
     pub fn new(operators: &'a Operators, params: &'a TgvParams, given: &'a [DVec3]) -> Option<Self> {
         let [r_p, r_q] = [PENALTY * params.alpha1, PENALTY * params.alpha0];
         let edges = &operators.edges;
@@ -183,9 +183,14 @@ fn kept(size: f64, by: f64) -> f64 {
     if size > by { 1.0 - by / size } else { 0.0 }
 }
 
-/// The factor of a diagonal plus the entries that `push` adds up.
+/// Doubles have 16 digits: where an entry is so many times the mean of the diagonal to which it was added, fewer than
+/// two are left for what the diagonal stands for.
+const LARGEST_RATIO: f64 = 1e14;
+
+/// The factor of a diagonal plus the entries that `push` adds up; `None` if they drown it, or it is not positive.
 fn factorized(diagonal: Vec<f64>, push: impl FnOnce(&mut Vec<(u64, f64)>)) -> Option<Cholesky> {
     let n = diagonal.len();
+    let limit = LARGEST_RATIO * diagonal.iter().sum::<f64>() / n.max(1) as f64;
     let mut entries: Vec<(u64, f64)> =
         (0u32..).zip(diagonal).map(|(i, value)| (entry_key(i, i), value)).collect();
     push(&mut entries);
@@ -199,6 +204,10 @@ fn factorized(diagonal: Vec<f64>, push: impl FnOnce(&mut Vec<(u64, f64)>)) -> Op
         is_same
     });
     let (keys, values): (Vec<u64>, Vec<f64>) = entries.into_iter().unzip();
+    // NaN is not below the limit either.
+    if !values.iter().all(|value| value.abs() < limit.max(f64::MIN_POSITIVE)) {
+        return None;
+    }
     let mut system = Cholesky::new(n, &keys);
     system.factorize(&values).then_some(system)
 }

@@ -97,7 +97,8 @@ impl L0Params {
 ///
 /// # Errors
 /// [`crate::GeomError::InvalidParameter`], [`crate::GeomError::LengthMismatch`],
-/// [`crate::GeomError::NonFiniteVertex`], [`crate::GeomError::Diverged`] or [`crate::GeomError::Cancelled`].
+/// [`crate::GeomError::NonFiniteVertex`], [`crate::GeomError::Diverged`], also when α or β have grown so large that
+/// rounding leaves next to nothing of p* in the system, or [`crate::GeomError::Cancelled`].
 ///
 /// Source: He, Schaefer 2013, Eqs. 5, 8 and 9. The λ and α are those of the program of Zhang et al. 2015, with γ̄ averaged
 /// without sign: it averages signed angles, which cancel, and hardly denoises.

@@ -12,6 +12,9 @@ const REGULARIZER: [f64; 4] = [1.0, -1.0, 1.0, -1.0];
 const PAIRS: [[usize; 2]; 10] =
     [[0, 0], [1, 1], [2, 2], [3, 3], [0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
 
+/// Doubles have 16 digits: above it, fewer than two are left for the positions.
+const LARGEST_ENTRY: f64 = 1e14;
+
 /// The system, whose pattern is analysed once, and memory that is reused between iterations.
 pub(super) struct System {
     cholesky: Cholesky,
@@ -43,7 +46,8 @@ impl System {
         Self { cholesky, slots, diagonal, values, right: vec![0.0; 3 * n] }
     }
 
-    /// Solves for `positions`; false, with `positions` unchanged, if rounding has made the system singular.
+    /// Solves for `positions`; false, with `positions` unchanged, if rounding has made the system singular, or so nearly
+    /// that next to nothing of the given positions would be left in what is solved.
     pub fn solve(
         &mut self,
         stencils: &[EdgePair],
@@ -54,7 +58,9 @@ impl System {
         positions: &mut [DVec3],
     ) -> bool {
         self.assemble(stencils, edges, alpha, beta, noisy);
-        if !self.cholesky.factorize(&self.values) {
+        // No eigenvalue is below 1, so the largest entry tells how much of that 1 rounding takes; NaN is not below either.
+        let is_sound = self.diagonal.iter().all(|&slot| self.values[slot as usize] < LARGEST_ENTRY);
+        if !is_sound || !self.cholesky.factorize(&self.values) {
             return false;
         }
         self.cholesky.solve(&mut self.right);
@@ -148,6 +154,14 @@ mod tests {
             assert!(system.solve(&stencils, &edges, alpha, beta, &vertices, &mut positions));
             let worst = residual(&stencils, &edges, alpha, beta, &vertices, &positions);
             assert!(worst < 1e-11, "{alpha} {beta}: {worst}");
+        }
+        for (alpha, beta) in [(1e15, 1.0), (0.1, 1e15), (f64::MAX, 1.0), (0.1, f64::INFINITY)] {
+            let mut positions = vertices.clone();
+            assert!(
+                !system.solve(&stencils, &edges, alpha, beta, &vertices, &mut positions),
+                "{alpha} {beta}"
+            );
+            assert_eq!(positions, vertices);
         }
     }
 }
