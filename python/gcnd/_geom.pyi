@@ -178,7 +178,9 @@ def bilateral_normal(
     vertex_iterations: int = 20,
     fix_boundary: bool = True,
     progress: StepProgress | None = None,
-) -> Points: ...
+) -> Points:
+    """Bilateral filter on normals (Zheng et al. 2011, Eq. 5), then Eq. 6."""
+
 def bilateral_normal_implicit(
     topology: Topology,
     vertices: Points,
@@ -189,7 +191,9 @@ def bilateral_normal_implicit(
     vertex_iterations: int = 20,
     fix_boundary: bool = True,
     progress: StepProgress | None = None,
-) -> Points: ...
+) -> Points:
+    """Bilateral filter on normals, all at once (Zheng et al. 2011, Eqs. 7–10), then Eq. 6."""
+
 def guided_normal(
     topology: Topology,
     vertices: Points,
@@ -201,7 +205,9 @@ def guided_normal(
     vertex_iterations: int = 20,
     fix_boundary: bool = False,
     progress: StepProgress | None = None,
-) -> Points: ...
+) -> Points:
+    """Bilateral filter on normals under guidance (Zhang et al. 2015, Eqs. 5–9), Eq. 6 in each iteration."""
+
 def fast_effective(
     topology: Topology,
     vertices: Points,
@@ -211,7 +217,9 @@ def fast_effective(
     vertex_iterations: int = 50,
     fix_boundary: bool = True,
     progress: StepProgress | None = None,
-) -> Points: ...
+) -> Points:
+    """Thresholded averages of normals (Sun et al. 2007, Eqs. 4–6 and 8)."""
+
 def low_rank(
     topology: Topology,
     vertices: Points,
@@ -224,7 +232,9 @@ def low_rank(
     vertex_iterations: int = 10,
     fix_boundary: bool = False,
     progress: StepProgress | None = None,
-) -> Points: ...
+) -> Points:
+    """Normals of patches alike as matrices of low rank (Li et al. 2018), then Eq. 6."""
+
 def tgv(
     topology: Topology,
     vertices: Points,
@@ -236,10 +246,14 @@ def tgv(
     vertex_iterations: int = 20,
     fix_boundary: bool = False,
     progress: StepProgress | None = None,
-) -> Points: ...
+) -> Points:
+    """Normals that bend evenly, or at creases (Liu et al. 2022), then Eq. 6."""
+
 def bilateral_mesh(
     topology: Topology, vertices: Points, *, iterations: int = 5, progress: StepProgress | None = None
-) -> Points: ...
+) -> Points:
+    """Bilateral filter on positions (Fleishman et al. 2003, Sec. 3)."""
+
 def l0(
     topology: Topology,
     vertices: Points,
@@ -251,7 +265,9 @@ def l0(
     beta_max: float = 1000.0,
     mu_beta: float = 1.4142135623730951,
     progress: StepProgress | None = None,
-) -> Points: ...
+) -> Points:
+    """As few bent edges as possible (He, Schaefer 2013, Eqs. 5, 8 and 9)."""
+
 def laplacian(
     topology: Topology,
     vertices: Points,
@@ -260,7 +276,9 @@ def laplacian(
     iterations: int = 10,
     fix_boundary: bool = True,
     progress: StepProgress | None = None,
-) -> Points: ...
+) -> Points:
+    """Averages of positions (Taubin 1995, Sec. 2)."""
+
 def taubin(
     topology: Topology,
     vertices: Points,
@@ -270,7 +288,9 @@ def taubin(
     iterations: int = 10,
     fix_boundary: bool = True,
     progress: StepProgress | None = None,
-) -> Points: ...
+) -> Points:
+    """Averages of positions without shrinking (Taubin 1995, Sec. 3)."""
+
 def hc_laplacian(
     topology: Topology,
     vertices: Points,
@@ -280,7 +300,9 @@ def hc_laplacian(
     iterations: int = 10,
     fix_boundary: bool = True,
     progress: StepProgress | None = None,
-) -> Points: ...
+) -> Points:
+    """Averages of positions, pushed back (Vollmer et al. 1999, Sec. 3)."""
+
 def normal_angles(result: Points, truth: Points) -> NDArray[np.float64]:
     """Degrees (F,) between normals; NaN where the truth is zero, 90 where only the result is."""
 

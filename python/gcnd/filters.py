@@ -29,7 +29,7 @@ class FilterInfo:
     Attributes:
         name: What ``apply_filter`` and ``gcnd denoise --method`` call it.
         description: What it does, in a line.
-        source: The paper that it follows.
+        source: The paper that it follows, with the equations or the section where they are known.
         parameters: Names and defaults; None stands for a value taken from the mesh.
     """
 
@@ -41,21 +41,29 @@ class FilterInfo:
 
 # A new filter is one function of the core and one line here.
 _FILTERS: dict[str, tuple[Callable[..., Any], str, str]] = {
-    "bilateral": (_geom.bilateral_mesh, "bilateral filter on positions", "Fleishman et al. 2003"),
-    "bilateral-normal": (_geom.bilateral_normal, "bilateral filter on normals", "Zheng et al. 2011"),
+    "bilateral": (_geom.bilateral_mesh, "bilateral filter on positions", "Fleishman et al. 2003, Sec. 3"),
+    "bilateral-normal": (_geom.bilateral_normal, "bilateral filter on normals", "Zheng et al. 2011, Eq. 5"),
     "bilateral-normal-implicit": (
         _geom.bilateral_normal_implicit,
         "bilateral filter on normals, all at once",
-        "Zheng et al. 2011",
+        "Zheng et al. 2011, Eqs. 7–10",
     ),
-    "guided-normal": (_geom.guided_normal, "bilateral filter on normals under guidance", "Zhang et al. 2015"),
-    "l0": (_geom.l0, "as few bent edges as possible", "He, Schaefer 2013"),
-    "fast-effective": (_geom.fast_effective, "thresholded averages of normals", "Sun et al. 2007"),
+    "guided-normal": (
+        _geom.guided_normal,
+        "bilateral filter on normals under guidance",
+        "Zhang et al. 2015, Eqs. 5–9",
+    ),
+    "l0": (_geom.l0, "as few bent edges as possible", "He, Schaefer 2013, Eqs. 5, 8 and 9"),
+    "fast-effective": (
+        _geom.fast_effective,
+        "thresholded averages of normals",
+        "Sun et al. 2007, Eqs. 4–6 and 8",
+    ),
     "tgv": (_geom.tgv, "normals that bend evenly, or at creases", "Liu et al. 2022"),
     "low-rank": (_geom.low_rank, "normals of patches alike as matrices of low rank", "Li et al. 2018"),
-    "laplacian": (_geom.laplacian, "averages of positions", "Taubin 1995"),
-    "taubin": (_geom.taubin, "averages of positions without shrinking", "Taubin 1995"),
-    "hc-laplacian": (_geom.hc_laplacian, "averages of positions, pushed back", "Vollmer et al. 1999"),
+    "laplacian": (_geom.laplacian, "averages of positions", "Taubin 1995, Sec. 2"),
+    "taubin": (_geom.taubin, "averages of positions without shrinking", "Taubin 1995, Sec. 3"),
+    "hc-laplacian": (_geom.hc_laplacian, "averages of positions, pushed back", "Vollmer et al. 1999, Sec. 3"),
 }
 
 
@@ -67,7 +75,7 @@ def list_filters() -> list[FilterInfo]:
 
     Example:
         >>> [info.source for info in list_filters() if info.name == "guided-normal"]
-        ['Zhang et al. 2015']
+        ['Zhang et al. 2015, Eqs. 5–9']
     """
     return [
         FilterInfo(name, description, source, _defaults(function))
@@ -105,7 +113,8 @@ def apply_filter(
     Raises:
         MeshError: The mesh cannot be worked on: no faces, NaN, an index out of range, a file that is not a mesh.
         ConfigError: The filter or a parameter is unknown, or a parameter is out of range.
-        GcndError: The filter diverged.
+        GcndError: The filter diverged: a position left the mesh's bounding box by more than its longest side, or is no
+            longer a number. The iteration is told, and the input is as it was.
         Cancelled: ``progress`` returned False.
 
     Example:
