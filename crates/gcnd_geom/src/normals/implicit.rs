@@ -89,7 +89,8 @@ pub fn bilateral_normal_implicit(
     watch: &mut Watch<'_>,
 ) -> Result<Vec<DVec3>> {
     params.validate()?;
-    let (mut run, positions) = Run::start(topology, vertices, params.vertex_iterations.saturating_add(3), watch)?;
+    let (mut run, positions) =
+        Run::start(topology, vertices, params.vertex_iterations.saturating_add(3), watch)?;
     let geometry = FaceGeometry::compute(&positions, topology.faces());
     let sigma_s = match params.sigma_s {
         Some(sigma_s) => sigma_s * run.scale,
