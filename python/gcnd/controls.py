@@ -183,7 +183,7 @@ def _blended(before: Points, moved: Points, strength: float) -> Points:
 def _limited(before: Points, moved: Points, longest: float) -> Points:
     """Displacements shortened to ``longest`` where they are longer, in 64 bits and in what the input fits in."""
     # A little less, so that no other way of taking the norm rounds to more.
-    longest *= 1.0 - 2.0**-50
+    longest *= 1.0 - 2.0**-49
     result = moved.copy()
     far = np.arange(len(before))
     for share in _SHRINKING:
@@ -191,20 +191,26 @@ def _limited(before: Points, moved: Points, longest: float) -> Points:
         if not len(far):
             break
         way = moved[far] - before[far]
-        length = np.linalg.norm(way, axis=1, keepdims=True)
+        length = _lengths(way)[:, None]
         result[far] = before[far] + way * (np.minimum(longest / length, 1.0) * (1.0 - share))
     return result
 
 
 def _is_too_far(before: Points, moved: Points, longest: float) -> NDArray[np.bool_]:
     """Whether each displacement is too long (V,), as it is or once rounded to a type that holds the input exactly."""
-    is_too_far: NDArray[np.bool_] = np.linalg.norm(moved - before, axis=1) > longest
+    is_too_far = _lengths(moved - before) > longest
     for dtype in (np.float32, np.float16):
         with np.errstate(over="ignore", invalid="ignore"):
             fits = (before.astype(dtype) == before).all(axis=1)
-            rounded = np.linalg.norm(moved.astype(dtype).astype(np.float64) - before, axis=1)
+            rounded = _lengths(moved.astype(dtype).astype(np.float64) - before)
         is_too_far |= fits & (rounded > longest)
     return is_too_far
+
+
+def _lengths(ways: Points) -> NDArray[np.float64]:
+    """Lengths (V,), also where their squares would be no numbers."""
+    lengths: NDArray[np.float64] = np.hypot(np.hypot(ways[:, 0], ways[:, 1]), ways[:, 2])
+    return lengths
 
 
 def _like_before(arrays: MeshArrays, welded: MeshArrays, ids: NDArray[np.uint32], moved: Points) -> Points:

@@ -14,6 +14,7 @@ import numpy as np
 from gcnd import _geom
 from gcnd.auto import AUTO
 from gcnd.controls import Controls
+from gcnd.errors import check_progress
 from gcnd.predict import agreement, fast_precision, predict_normals, refined
 from gcnd.stages import Progress, Stages
 from gcnd.start import Start
@@ -94,7 +95,7 @@ def denoise(
         WeightsError: The weights cannot be read or do not fit.
 
     Warns:
-        MeshWarning: Faces disagree on which side is out, or none touches another.
+        MeshWarning: Faces disagree on which side is out, or none touches another; or vertices are far off the surface.
 
     Paper: Secs. 3–6. Choice: docs/choices.md#boundary-vertices, docs/choices.md#orientation.
 
@@ -107,6 +108,7 @@ def denoise(
     """
     from gcnd.denoiser import Denoiser  # which runs the line below
 
+    check_progress(progress)
     denoiser = Denoiser(
         preset,
         device=device,

@@ -13,7 +13,6 @@ from gcnd.errors import ConfigError, WeightsError, check_count
 from gcnd.nn.fold import Precision
 from gcnd.predict import fast_precision
 from gcnd.runs import Denoised, Moved, run_on
-from gcnd.start import Start
 from gcnd.weights import load_cascade, weights_hash
 
 if TYPE_CHECKING:
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from gcnd.stages import Progress, Stages
+    from gcnd.start import Start
     from gcnd.surface import Surface
 
 __all__ = ["Denoiser"]
@@ -105,12 +105,11 @@ class Denoiser:
 
         Raises:
             MeshError: The mesh cannot be worked on.
-            ConfigError: A control does not fit the mesh.
+            ConfigError: A control does not fit the mesh, or ``progress`` cannot be called.
             Cancelled: ``progress`` returned False.
         """
 
-        def move(surface: Surface, stages: Stages) -> Moved:
-            start = Start(surface.topology, surface.mesh.vertices)
+        def move(surface: Surface, start: Start, stages: Stages) -> Moved:
             chosen, roughness = self._choose(surface, start, stages)
             cleaned = clean_arrays(
                 start,
@@ -125,7 +124,15 @@ class Denoiser:
 
         method = {"device": self.device, **self.settings}
         method["precision"] = self.settings["precision"] or fast_precision(self.device)
-        return run_on(mesh, move, controls or self.controls, method, progress, self.triangulate)
+        return run_on(
+            mesh,
+            move,
+            controls or self.controls,
+            method,
+            progress,
+            self.triangulate,
+            takes_spikes_off=True,
+        )
 
     def _choose(
         self, surface: Surface, start: Start, stages: Stages

@@ -14,6 +14,7 @@ __all__ = [
     "MeshWarning",
     "WeightsError",
     "check_count",
+    "check_progress",
     "check_real",
     "check_whole",
 ]
@@ -108,3 +109,22 @@ def check_count(name: str, value: int | None) -> None:
     """
     if value is not None and not 0 <= value < 1 << 64:
         raise ConfigError(f"{name} is {value}, allowed: {'0 or more' if value < 0 else 'below 2**64'}")
+
+
+def check_progress(progress: object) -> None:
+    """Checks that what is to be told of progress can be called, before any work.
+
+    Args:
+        progress: What was given; None, for telling nobody, passes.
+
+    Raises:
+        ConfigError: If it is something else.
+
+    Example:
+        >>> check_progress(print)
+        >>> check_progress(3)
+        Traceback (most recent call last):
+        gcnd.errors.ConfigError: progress is 3, allowed: a function, or None
+    """
+    if progress is not None and not callable(progress):
+        raise ConfigError(f"progress is {progress!r}, allowed: a function, or None")

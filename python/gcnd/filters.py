@@ -11,12 +11,12 @@ from gcnd import _geom
 from gcnd.controls import Controls
 from gcnd.errors import ConfigError, check_count
 from gcnd.runs import Denoised, Moved, run_on
-from gcnd.start import Start
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from gcnd.stages import Progress, Stages
+    from gcnd.start import Start
     from gcnd.surface import Surface
 
 __all__ = ["Filter", "FilterInfo", "apply_filter", "list_filters", "parse_parameters"]
@@ -152,9 +152,7 @@ class Filter:
     def run(self, mesh: Any, *, progress: Progress | None = None) -> Denoised:
         """Filters one mesh and returns all that is known of the result."""
 
-        def move(surface: Surface, stages: Stages) -> Moved:
-            start = Start(surface.topology, surface.mesh.vertices, takes_spikes_off=False)
-
+        def move(surface: Surface, start: Start, stages: Stages) -> Moved:
             def report(iteration: int, total: int) -> None:
                 stages(iteration / total, self.method)
 

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from gcnd.errors import Cancelled, ConfigError
+from gcnd.errors import Cancelled, ConfigError, check_progress
 from gcnd.mesh_io import SUPPORTED, check_output_path, load, save
 from gcnd.runs import Denoised, Method
 from gcnd.stages import Progress
@@ -109,7 +109,8 @@ def denoise_many(
         One outcome a mesh, in order.
 
     Raises:
-        ConfigError: There is nothing to do, two results would have one name, or a mesh that is no file has an output.
+        ConfigError: There is nothing to do, two results would have one name, a mesh that is no file has an output, or
+            ``progress`` cannot be called.
         MeshError: The output folder is the input's.
         Cancelled: ``progress`` returned False; results so far are kept.
 
@@ -119,6 +120,7 @@ def denoise_many(
         >>> [outcome.status for outcome in denoise_many(balls)]
         ['done', 'failed']
     """
+    check_progress(progress)
     jobs = _jobs(meshes, None if output is None else Path(output))
     wanted = Wanted(confidence, reports)
     if denoiser is None:

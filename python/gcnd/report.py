@@ -17,6 +17,7 @@ from gcnd.errors import GcndError
 from gcnd.formats.atomic import write_atomic, write_hint
 from gcnd.mesh_io import MeshArrays
 from gcnd.neighbors import sum_across_edges
+from gcnd.spikes import Spikes
 from gcnd.start import Start
 from gcnd.volume import enclosed_volumes, open_edges
 
@@ -29,7 +30,11 @@ _QUARTILE_AT_LEVEL_1 = 0.185
 
 
 def make_report(
-    before: MeshArrays, after: Points, method: Mapping[str, Any], seconds: Mapping[str, float]
+    before: MeshArrays,
+    after: Points,
+    method: Mapping[str, Any],
+    seconds: Mapping[str, float],
+    spikes: Spikes | None = None,
 ) -> dict[str, Any]:
     """Describes a run.
 
@@ -38,6 +43,7 @@ def make_report(
         after: The result's vertices (V, 3).
         method: What ran, as JSON-ready values.
         seconds: By stage.
+        spikes: That were taken off for the work, if they were.
 
     Returns:
         JSON-ready values:
@@ -52,7 +58,11 @@ def make_report(
         - ``flipped_faces``: ``before`` and ``after``, see `flipped_faces`; ``turned``, faces whose normal is more than
           90° from where it was.
         - ``noise_level``: ``before`` and ``after``, see `noise_level`.
+        - ``spikes``: ``inside`` and ``on_rim``, how many were taken off for the work; None where none was looked for.
     """
+    welded, ids = before.welded()
+    moved = np.empty_like(welded.vertices)
+    moved[ids] = after
     ways = np.linalg.norm(after - before.vertices, axis=1)
     edge = _geom.mean_edge_length(before.vertices, before.faces)
     lengths = {"mean": ways.mean(), "rms": np.sqrt((ways**2).mean()), "max": ways.max()}
@@ -68,7 +78,7 @@ def make_report(
                 "vertices": len(after),
                 "faces": len(before.faces),
                 "mean_edge_length": edge,
-                **_volumes(before, after),
+                **_volumes(welded, moved),
             },
             "seconds": {
                 **{stage: round(taken, 4) for stage, taken in seconds.items()},
@@ -78,7 +88,8 @@ def make_report(
                 **{name: float(value) for name, value in (lengths | in_edges).items()},
                 "moved_vertices": int(np.count_nonzero(ways)),
             },
-            **_shape_changes(before, after),
+            **_shape_changes(welded, moved, spikes),
+            "spikes": None if spikes is None else {"inside": spikes.n_inside, "on_rim": spikes.n_on_rim},
         }
     )
 
@@ -110,7 +121,12 @@ def flipped_faces(topology: _geom.Topology, normals: Points) -> int:
     return int(np.count_nonzero((normals * np.stack(sums, axis=1)).sum(axis=1) < 0.0))
 
 
-def noise_level(topology: _geom.Topology, vertices: Points, faces: NDArray[np.uint32]) -> float:
+def noise_level(
+    topology: _geom.Topology,
+    vertices: Points,
+    faces: NDArray[np.uint32],
+    spikes: Spikes | None = None,
+) -> float:
     """Estimates the noise of a mesh: standard deviation along the normals, in mean edge lengths.
 
     level = q / (0.185 ē), q the lower quartile of the mesh's roughness. Within 15 % for Gaussian noise of levels 0.1
@@ -120,13 +136,14 @@ def noise_level(topology: _geom.Topology, vertices: Points, faces: NDArray[np.ui
         topology: Adjacency of the mesh.
         vertices: Positions (V, 3), mesh units.
         faces: Vertex ids (F, 3).
+        spikes: Of this mesh, where they are known.
 
     Returns:
         The level, as ``gcnd noise --level`` has it; 0 for a mesh without edges.
 
     Choice: docs/choices.md#mesh-roughness.
     """
-    positions = Start(topology, vertices).positions
+    positions = Start(topology, vertices, spikes=spikes).positions
     return level_of(_geom.mesh_roughness(topology, positions), _geom.mean_edge_length(positions, faces))
 
 
@@ -153,8 +170,7 @@ def write_report(path: Path, report: Any) -> None:
 
 
 def _volumes(before: MeshArrays, after: Points) -> dict[str, float | None]:
-    welded, _ = before.welded()
-    if open_edges(welded.faces):
+    if open_edges(before.faces):
         return {"volume_before": None, "volume_after": None}
     one_body = np.zeros(len(after), dtype=np.int64)
     origin = before.vertices.mean(axis=0)
@@ -165,12 +181,9 @@ def _volumes(before: MeshArrays, after: Points) -> dict[str, float | None]:
     return {"volume_before": volumes[0], "volume_after": volumes[1]}
 
 
-def _shape_changes(before: MeshArrays, after: Points) -> dict[str, Any]:
-    welded, ids = before.welded()
-    moved = np.empty_like(welded.vertices)
-    moved[ids] = after
-    topology = _geom.Topology(welded.faces, len(moved))
-    old, new = (_geom.face_geometry(points, welded.faces)[0] for points in (welded.vertices, moved))
+def _shape_changes(before: MeshArrays, after: Points, spikes: Spikes | None) -> dict[str, Any]:
+    topology = _geom.Topology(before.faces, len(after))
+    old, new = (_geom.face_geometry(points, before.faces)[0] for points in (before.vertices, after))
     return {
         "flipped_faces": {
             "before": flipped_faces(topology, old),
@@ -178,7 +191,7 @@ def _shape_changes(before: MeshArrays, after: Points) -> dict[str, Any]:
             "turned": int(np.count_nonzero((old * new).sum(axis=1) < 0.0)),
         },
         "noise_level": {
-            "before": noise_level(topology, welded.vertices, welded.faces),
-            "after": noise_level(topology, moved, welded.faces),
+            "before": noise_level(topology, before.vertices, before.faces, spikes),
+            "after": noise_level(topology, after, before.faces),
         },
     }

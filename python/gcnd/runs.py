@@ -19,7 +19,9 @@ from gcnd.errors import MeshWarning
 from gcnd.memory import check_memory
 from gcnd.mesh_io import MeshArrays, load, to_arrays
 from gcnd.report import make_report
+from gcnd.spikes import Spikes
 from gcnd.stages import Progress, Stages
+from gcnd.start import Start
 from gcnd.surface import Surface, as_surface
 
 __all__ = ["Denoised", "Method", "Moved", "run_on"]
@@ -39,8 +41,8 @@ class Moved(NamedTuple):
     described: Mapping[str, Any] = MappingProxyType({})
 
 
-Move = Callable[[Surface, Stages], Moved]
-"""Takes a mesh with each position once, (V', 3), and says where its vertices go."""
+Move = Callable[[Surface, Start, Stages], Moved]
+"""Takes a mesh with each position once, (V', 3), and where its work starts, and says where its vertices go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +57,7 @@ class Denoised:
         seconds: Wall-clock seconds by stage.
         method: What ran, as JSON-ready values.
         warnings: What is wrong with the mesh, in sentences.
+        spikes: That were taken off for the work; None where the method keeps them.
     """
 
     mesh: Any
@@ -64,10 +67,11 @@ class Denoised:
     seconds: dict[str, float]
     method: dict[str, Any]
     warnings: tuple[str, ...] = ()
+    spikes: Spikes | None = None
 
     def report(self) -> dict[str, Any]:
         """Returns what ran, how long it took and what it changed, as JSON-ready values; see ``gcnd.report``."""
-        report = make_report(self.before, self.after, self.method, self.seconds)
+        report = make_report(self.before, self.after, self.method, self.seconds, self.spikes)
         return {**report, "warnings": list(self.warnings)}
 
 
@@ -92,6 +96,8 @@ def run_on(
     method: dict[str, Any],
     progress: Progress | None = None,
     triangulate: bool = False,
+    *,
+    takes_spikes_off: bool = False,
 ) -> Denoised:
     """Takes a mesh apart, has its vertices moved, applies the controls, and puts it together again.
 
@@ -102,6 +108,7 @@ def run_on(
         method: What runs, for the report.
         progress: Told how far the run has come; returning False cancels.
         triangulate: Whether faces of four corners and more are split for the work.
+        takes_spikes_off: Whether the work starts without spikes; see ``gcnd.start``.
 
     Raises:
         MeshError: The mesh cannot be worked on.
@@ -109,7 +116,8 @@ def run_on(
         Cancelled: ``progress`` said so.
 
     Warns:
-        MeshWarning: Faces disagree on which side is out, or none touches another; see ``gcnd.surface``.
+        MeshWarning: Faces disagree on which side is out, or none touches another, see ``gcnd.surface``; or there are
+            spikes, see ``gcnd.spikes``.
     """
     stages = Stages(progress)
     stages(0.0, "reading")
@@ -122,15 +130,17 @@ def run_on(
     mesh_once, finish = controls.bind(mesh, arrays)
     stages(0.0, "adjacency")
     surface = as_surface(mesh_once)
-    for sentence in surface.told:
+    start = Start(surface.topology, surface.mesh.vertices, takes_spikes_off=takes_spikes_off)
+    told = surface.told + (start.spikes.told() if start.spikes else ())
+    for sentence in told:
         # Seen from here: the method's run, what called it, and the caller's own line.
         warnings.warn(sentence, MeshWarning, stacklevel=4)
     stages.ask()
-    moved = move(surface, stages)
+    moved = move(surface, start, stages)
     stages(1.0, "finishing")
     after = finish(moved.vertices)
     stages.ask()
     result = rebuild(after)
     stages(1.0, "done")
     described = {**method, **moved.described, "controls": controls.described()}
-    return Denoised(result, moved.confidence, arrays, after, stages.seconds, described, surface.told)
+    return Denoised(result, moved.confidence, arrays, after, stages.seconds, described, told, start.spikes)

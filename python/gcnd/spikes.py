@@ -23,6 +23,10 @@ class Spikes:
         topology: Adjacency of the mesh.
         vertices: Positions (V, 3), mesh units.
 
+    Attributes:
+        n_inside: How many are inside the surface.
+        n_on_rim: How many are tips of triangles that hang on a rim.
+
     Choice: docs/choices.md#spikes.
     """
 
@@ -30,6 +34,8 @@ class Spikes:
         self.ids, self._feet, is_on_rim = _geom.find_spikes(topology, vertices)
         self._tips, self._tip_feet = self.ids[is_on_rim], self._feet[is_on_rim]
         self._tip_positions = vertices[self._tips]
+        self.n_on_rim = len(self._tips)
+        self.n_inside = len(self.ids) - self.n_on_rim
 
     def taken_off(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
         """Returns positions (V, 3) with every spike on the surface; the same array where there is none."""
@@ -46,3 +52,17 @@ class Spikes:
         raised = vertices.copy()
         raised[self._tips] = self._tip_positions + (vertices[self._tips] - self._tip_feet)
         return raised
+
+    def told(self) -> tuple[str, ...]:
+        """Returns a sentence for whoever owns the mesh; none where there is no spike."""
+        if not len(self.ids):
+            return ()
+        fates = [
+            f"{count:,} {fate}"
+            for count, fate in (
+                (self.n_inside, "inside the surface, put on it"),
+                (self.n_on_rim, "at tips of triangles on a rim, taken off for the work and put back"),
+            )
+            if count
+        ]
+        return (f"spikes, single vertices far off the surface: {'; '.join(fates)}",)

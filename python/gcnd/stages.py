@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gcnd.errors import Cancelled
+from gcnd.errors import Cancelled, check_progress
 
 __all__ = ["Progress", "Stages"]
 
@@ -23,6 +23,9 @@ class Stages:
         progress: Called with (fraction done, stage). ``False`` stops the run; ``None``, ``True`` and anything else, as
             the counts that progress bars return, go on.
 
+    Raises:
+        ConfigError: ``progress`` cannot be called.
+
     Attributes:
         seconds: Wall-clock seconds by stage, in the order in which they began; of the stage at work, up to the last
             call.
@@ -36,6 +39,7 @@ class Stages:
     """
 
     def __init__(self, progress: Progress | None = None) -> None:
+        check_progress(progress)
         self.seconds: dict[str, float] = {}
         self._progress = progress
         self._stage: str | None = None

@@ -15,40 +15,61 @@ if TYPE_CHECKING:
 
 __all__ = ["Start"]
 
+SMALL = 1e-30
+"""Half the extent below which a mesh is enlarged: products of some ten lengths are numbers from here up."""
+
 
 class Start:
     """Positions to work from, and the way back to those of the mesh.
 
     Far away from the origin, single positions keep fewer digits than noise has: the mean of the vertices that faces use
     is taken away. Vertices without faces, which may be anywhere, wait at the origin. Spikes are taken off, for one that
-    is far enough would move the mean, and with it all digits.
+    is far enough would move the mean, and with it all digits. Meshes so small that powers of their lengths would be
+    no numbers are enlarged by a power of two, which takes no digit.
 
     Args:
         topology: Adjacency of the mesh.
         vertices: Positions (V, 3), mesh units, finite.
-        takes_spikes_off: Whether spikes are; a filter sees them as any other noise.
+        takes_spikes_off: Whether spikes are, and small meshes enlarged; a filter sees spikes as any other noise, and
+            has parameters in mesh units.
+        spikes: Of this mesh, where they are known.
 
     Attributes:
-        positions: (V, 3), mesh units, about the origin.
+        positions: (V, 3), about the origin, in mesh units times a power of two.
+        spikes: That were taken off; None where they were not looked for.
 
-    Choice: docs/choices.md#spikes.
+    Choice: docs/choices.md#spikes, docs/choices.md#origin.
     """
 
     def __init__(
-        self, topology: _geom.Topology, vertices: NDArray[np.float64], *, takes_spikes_off: bool = True
+        self,
+        topology: _geom.Topology,
+        vertices: NDArray[np.float64],
+        *,
+        takes_spikes_off: bool = True,
+        spikes: Spikes | None = None,
     ) -> None:
         self._given = vertices
-        self._spikes = Spikes(topology, vertices) if takes_spikes_off else None
-        lowered = vertices if self._spikes is None else self._spikes.taken_off(vertices)
+        self.spikes = (spikes or Spikes(topology, vertices)) if takes_spikes_off else None
+        lowered = vertices if self.spikes is None else self.spikes.taken_off(vertices)
         is_used = np.diff(topology.vertex_faces()[0]) > 0
         self._origin = lowered[is_used].mean(axis=0) if is_used.any() else np.zeros(3)
         self.positions: NDArray[np.float64] = lowered - self._origin
         self.positions[~is_used] = 0.0
+        self._doublings = _doublings(self.positions) if takes_spikes_off else 0
+        if self._doublings:
+            self.positions = np.ldexp(self.positions, self._doublings)
 
     def way_back(self, moved: NDArray[np.float64]) -> NDArray[np.float64]:
         """Returns moved positions (V, 3) where the mesh is; what did not move keeps the bits that it was given with."""
-        back = moved + self._origin
-        if self._spikes is not None:
-            back = self._spikes.tips_put_back(back)
+        back = (np.ldexp(moved, -self._doublings) if self._doublings else moved) + self._origin
+        if self.spikes is not None:
+            back = self.spikes.tips_put_back(back)
         stayed = (moved == self.positions).all(axis=1)
         return np.where(stayed[:, None], self._given, back)
+
+
+def _doublings(positions: NDArray[np.float64]) -> int:
+    """How often a small mesh must be doubled to be about as large as 1."""
+    extent = float(np.abs(positions).max(initial=0.0))
+    return -int(np.frexp(extent)[1]) if 0.0 < extent < SMALL else 0

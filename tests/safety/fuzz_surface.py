@@ -107,7 +107,7 @@ def controls(rng: Rng, _: Path) -> bool:
     vertices, faces = wild.mesh(rng)
     options = random_controls(rng, len(vertices))
 
-    def move(surface: Any, _: Any) -> Moved:
+    def move(surface: Any, *_: Any) -> Moved:
         mesh = surface.mesh
         with np.errstate(over="ignore"):
             step = rng.normal(size=mesh.vertices.shape) * rng.choice([0.0, 1e-3, 1.0, 1e6])

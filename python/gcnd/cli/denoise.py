@@ -155,7 +155,11 @@ def run(
         typer.Option(metavar="FILE", help="Write what ran and what it changed, as JSON.", show_default=False),
     ] = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="For a folder: work again on what is done.")
+        bool,
+        typer.Option(
+            "--overwrite",
+            help="For a folder: work again on what is done; a single OUT is always written anew.",
+        ),
     ] = False,
     ray: Annotated[
         bool, typer.Option("--ray", help="For a folder: work on a Ray cluster (gcnd\\[ray]).")

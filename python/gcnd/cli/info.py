@@ -18,9 +18,11 @@ def run(input_mesh: InputMesh, as_json: JsonFlag = False) -> None:
     arrays, _ = to_arrays(input_mesh)
     welded, _ = arrays.welded()
     topology = _geom.Topology(welded.faces, len(welded.vertices))
-    signs = read_signs(topology, Start(topology, welded.vertices).positions, welded.faces)
+    start = Start(topology, welded.vertices)
+    signs = read_signs(topology, start.positions, welded.faces)
     choice = choose_preset(signs)
-    info: dict[str, object] = {**mesh_info(arrays.vertices, arrays.faces), **signs.described()}
+    info: dict[str, object] = {**mesh_info(arrays.vertices, arrays.faces)}
+    info |= {"spikes": 0 if start.spikes is None else len(start.spikes.ids), **signs.described()}
     info |= {"preset": choice.preset, "why": choice.why}
     if as_json:
         print_json(info)
