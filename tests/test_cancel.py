@@ -21,12 +21,13 @@ import numpy as np
 import pytest
 
 import gcnd.predict
-from gcnd import Cancelled, Denoiser, _geom
+from gcnd import Cancelled, ConfigError, Denoiser, _geom
 from gcnd.cli import interrupt, main
 from gcnd.cli.interrupt import check_interrupted, noticing_ctrl_c
 from gcnd.cli.progress import show_progress
 from gcnd.data.noise import add_noise
-from gcnd.filters import Filter
+from gcnd.denoise import denoise_arrays
+from gcnd.filters import Filter, apply_filter
 from gcnd.mesh_io import save
 
 PROMISED, MARGIN = 0.5, 3.0
@@ -96,6 +97,41 @@ def test_ctrl_c_while_threads_start_leaves_none(monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(KeyboardInterrupt):
         Denoiser("fast").run(wave(10))
     assert threading.active_count() == before
+
+
+# --- what cannot be told -------------------------------------------------------------------------------
+
+BALL = (np.eye(4, 3), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+@pytest.mark.parametrize("progress", [3, "yes", True, []])
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda progress: gcnd.denoise(BALL, preset="none", progress=progress),
+        lambda progress: Denoiser("fast")(BALL, progress=progress),
+        lambda progress: Denoiser("fast").run(BALL, progress=progress),
+        lambda progress: gcnd.denoise_many([BALL], denoiser=Filter("taubin"), progress=progress),
+        lambda progress: Filter("taubin").run(BALL, progress=progress),
+        lambda progress: apply_filter(BALL, "taubin", progress=progress),
+        lambda progress: denoise_arrays(*BALL, None, progress=progress),  # type: ignore[arg-type]
+    ],
+    ids=[
+        "denoise",
+        "Denoiser",
+        "Denoiser.run",
+        "denoise_many",
+        "Filter.run",
+        "apply_filter",
+        "denoise_arrays",
+    ],
+)
+def test_progress_that_cannot_be_called_is_told_before_anything_else(
+    call: Callable[[Any], Any], progress: Any
+) -> None:
+    with pytest.raises(ConfigError) as error:
+        call(progress)
+    assert str(error.value) == f"progress is {progress!r}, allowed: a function, or None"
 
 
 # --- the program -------------------------------------------------------------------------------------

@@ -60,3 +60,15 @@ def test_the_report_of_a_preset(mesh_path: Path, denoise_calls: list[dict[str, A
     assert found["seconds"]["writing"] > 0
     assert found["method"] == {"preset": "default"}
     assert len(denoise_calls) == 1
+
+
+@pytest.mark.parametrize("options", [[], ["--overwrite"]])
+def test_a_single_result_is_always_written_anew(
+    mesh_path: Path, denoise_calls: list[dict[str, Any]], options: list[str]
+) -> None:
+    """A folder's results are skipped where they are there; of one mesh, `--overwrite` says what is done anyway."""
+    out = mesh_path.with_name("out.ply")
+    out.write_text("an older result, newer than its input")
+    assert main(["denoise", str(mesh_path), str(out), "-q", *options]) == 0
+    assert np.array_equal(load(out).vertices, VERTICES + 1.0)
+    assert len(denoise_calls) == 1

@@ -104,6 +104,14 @@ def test_no_vertex_moves_further(dtype: Any, offset: float) -> None:
             assert np.linalg.norm(ways, axis=1).max() > 0.9999 * limit
 
 
+@pytest.mark.parametrize("scale", [1e-160, 1e-200, 1e-300])
+def test_no_vertex_moves_further_where_squares_of_lengths_underflow(scale: float) -> None:
+    mesh, limit = (scale * VERTICES, FACES), 0.1 * EDGE
+    result = steered(Controls(max_displacement=limit * scale), scale * MOVED, mesh)
+    ways = (result - mesh[0]) / scale
+    assert 0.9999 * limit < np.linalg.norm(ways, axis=1).max() <= limit * (1.0 + 1e-12)
+
+
 def test_shorter_ways_stay_as_they_are() -> None:
     limit = float(np.median(lengths(MOVED)))
     result = steered(Controls(max_displacement=limit))

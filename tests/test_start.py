@@ -92,3 +92,24 @@ def test_signs_of_a_scanner_are_seen_beside_a_spike() -> None:
     assert expected.pixel_share > 0.4
     assert found.pixel_share == pytest.approx(expected.pixel_share, abs=0.01)
     assert found.level == pytest.approx(expected.level, rel=0.02)
+
+
+@pytest.mark.parametrize("doublings", [-120, -266, -300, -332, -520, -1000])
+def test_however_small_a_mesh_is_it_is_denoised_alike(doublings: int) -> None:
+    """Fourth powers of lengths underflow from 10⁻⁸⁰ down, squares from 10⁻¹⁶⁰."""
+    expected = gcnd.denoise((NOISY, FACES), preset="fast")[0]
+    found = gcnd.denoise((np.ldexp(NOISY, doublings), FACES), preset="fast")[0]
+    np.testing.assert_allclose(np.ldexp(found, -doublings), expected, atol=1e-6)
+
+
+def test_ordinary_meshes_keep_their_unit_and_filters_every_mesh() -> None:
+    for scale in (1.0, 1e-12, 1e100):
+        vertices = scale * NOISY
+        positions = Start(topology_of(vertices), vertices).positions
+        assert np.array_equal(positions, vertices - vertices.mean(axis=0))
+    vertices = 1e-60 * NOISY
+    small = Start(topology_of(vertices), vertices, takes_spikes_off=False)
+    assert np.array_equal(small.positions, vertices - vertices.mean(axis=0))
+    enlarged = Start(topology_of(vertices), vertices)
+    assert 0.5 <= np.abs(enlarged.positions).max() <= 1.0
+    assert np.array_equal(enlarged.way_back(enlarged.positions), vertices)

@@ -1,0 +1,76 @@
+"""docs/limits.md says how much memory a mesh takes: measured here at two sizes, in processes of their own."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gcnd.memory import BYTES_A_FACE, needed_bytes
+
+LIMITS = (Path(__file__).parent.parent / "docs" / "limits.md").read_text(encoding="utf-8")
+
+MARGIN = 1.1
+"""Of other versions of what is linked, and of the system's pages."""
+
+MEASURE = """
+import resource, sys
+import torch
+import gcnd
+from sheet_cases import even_sheet, with_noise
+
+torch.set_num_threads(2)
+side, preset = int(sys.argv[1]), sys.argv[2]
+vertices, faces = even_sheet(side)
+clean = gcnd.denoise((with_noise(vertices, 0), faces), preset=preset)[0]
+assert abs(clean - vertices).max() < 1.0
+print(len(faces), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+"""
+
+
+def stated(pattern: str) -> float:
+    found = re.search(pattern, LIMITS)
+    assert found is not None, pattern
+    return float(found[1].replace(",", ""))
+
+
+def measured(side: int, preset: str) -> tuple[int, int]:
+    """Faces of a sheet and the most bytes that the process of denoising it held."""
+    environment = os.environ | {"RAYON_NUM_THREADS": "2", "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURE, str(side), preset],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    faces, peak = done.stdout.split()
+    return int(faces), int(peak)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of peak memory in kibibytes")
+@pytest.mark.parametrize(("preset", "sides"), [("fast", (60, 180)), ("default", (50, 130))])
+def test_a_mesh_takes_no_more_than_is_stated(preset: str, sides: tuple[int, int]) -> None:
+    (few, small), (many, large) = (measured(side, preset) for side in sides)
+    program = stated(r"about ([\d.]+) GiB for the program and the network") * 2**30
+    a_face = stated(r"and ([\d,]+) bytes a face")
+    for faces, peak in ((few, small), (many, large)):
+        assert peak < MARGIN * (program + a_face * faces), f"{faces} faces took {peak / 2**20:.0f} MiB"
+    growth = (large - small) / (many - few)
+    assert growth < BYTES_A_FACE, f"{growth:.0f} bytes a face"
+    # A program that takes next to nothing was not measured.
+    assert large > 0.3 * program
+
+
+def test_what_is_foreseen_is_what_is_stated() -> None:
+    assert stated(r"estimated at ([\d,]+) bytes a face") == BYTES_A_FACE
+    assert stated(r"plus ([\d,]+) for a vertex beyond") == needed_bytes(7, 12) - needed_bytes(6, 12)
+    # More than was measured, so that no mesh is begun that does not fit.
+    assert 1.2 * stated(r"and ([\d,]+) bytes a face") < BYTES_A_FACE
+    gibibytes = stated(r"([\d.]+) GiB for a million faces")
+    assert gibibytes == pytest.approx(stated(r"and ([\d,]+) bytes a face") * 1e6 / 2**30, abs=0.005)
