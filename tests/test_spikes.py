@@ -101,7 +101,7 @@ def spiked() -> tuple[np.ndarray, np.ndarray]:
     vertices = with_noise(vertices, 0, 0.1)
     vertices[[45, 110], 2] = [9.0, -7.0]
     vertices = np.concatenate([vertices, [[-1.0, 3.5, 9.0]]])
-    return vertices, np.concatenate([faces, [[4, 3, len(vertices) - 1]]]).astype(np.uint32)
+    return vertices, np.concatenate([faces, [[3, 4, len(vertices) - 1]]]).astype(np.uint32)
 
 
 TOLD = (

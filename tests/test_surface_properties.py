@@ -242,7 +242,8 @@ def test_a_power_of_two_changes_no_bit(name: str, mesh: Mesh, doublings: int) ->
     moved = cleaned(name, np.ldexp(mesh.vertices, doublings), mesh.faces)
     expected = cleaned(name, *mesh)
     difference = largest(np.ldexp(moved, -doublings) - expected, mesh)
-    assert difference < (SAME_WORK if doublings < -96 else 1e-300)
+    # Beyond, spikes are looked for among other powers of lengths.
+    assert difference < (1e-300 if -96 <= doublings <= 96 else SAME_WORK)
 
 
 @both

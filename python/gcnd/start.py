@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Start"]
 
-SMALL = 1e-30
-"""Half the extent below which a mesh is enlarged: products of some ten lengths are numbers from here up."""
+USUAL = (1e-30, 1e30)
+"""Largest coordinates between which a mesh keeps its unit: products of some ten lengths are numbers there."""
 
 
 class Start:
@@ -24,14 +24,14 @@ class Start:
 
     Far away from the origin, single positions keep fewer digits than noise has: the mean of the vertices that faces use
     is taken away. Vertices without faces, which may be anywhere, wait at the origin. Spikes are taken off, for one that
-    is far enough would move the mean, and with it all digits. Meshes so small that powers of their lengths would be
-    no numbers are enlarged by a power of two, which takes no digit.
+    is far enough would move the mean, and with it all digits. Meshes so small or so large that powers of their lengths
+    would be no numbers are scaled by a power of two, which takes no digit.
 
     Args:
         topology: Adjacency of the mesh.
         vertices: Positions (V, 3), mesh units, finite.
-        takes_spikes_off: Whether spikes are, and small meshes enlarged; a filter sees spikes as any other noise, and
-            has parameters in mesh units.
+        takes_spikes_off: Whether spikes are, and meshes of unusual size scaled; a filter sees spikes as any other
+            noise, and has parameters in mesh units.
         spikes: Of this mesh, where they are known.
 
     Attributes:
@@ -70,6 +70,7 @@ class Start:
 
 
 def _doublings(positions: NDArray[np.float64]) -> int:
-    """How often a small mesh must be doubled to be about as large as 1."""
+    """How often an unusually small mesh must be doubled to be about as large as 1; below 0, halved."""
     extent = float(np.abs(positions).max(initial=0.0))
-    return -int(np.frexp(extent)[1]) if 0.0 < extent < SMALL else 0
+    is_usual = extent == 0.0 or USUAL[0] <= extent <= USUAL[1]
+    return 0 if is_usual else -int(np.frexp(extent)[1])
