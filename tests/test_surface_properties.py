@@ -26,7 +26,8 @@ Faces = NDArray[np.uint32]
 SAME_WORK = 1e-6
 """Mean edges between results of the same geometry told another way, with the same patches. Sums run in another order,
 so that positions differ by some 10⁻¹⁵ and features, rounded to 32 bits, now and then by their last bit, 6 · 10⁻⁸ of it;
-the network and vertex updating hand on a few of those. Largest in 600 meshes drawn as here: SEEN."""
+the network and vertex updating hand on a few of those. Largest in 40 meshes drawn as here: 1.3 · 10⁻¹³, and once, of a
+ball, 3 · 10⁻¹⁰."""
 
 few = settings(
     max_examples=5,
