@@ -41,9 +41,9 @@ from gcnd.metrics import normal_error
 from gcnd.nn.cascade import StageConfig
 from gcnd.predict import fast_precision
 from gcnd.train import samples
+from gcnd.train.grow import grown
 from gcnd.train.loop import Trainer
 from gcnd.train.pool import DenoisedPool, run_stages
-from gcnd.train.run import widened
 from gcnd.train.samples import FreshNoise, NoisyMesh, VertexSource
 from gcnd.weights.registry import load_trainable
 
@@ -88,7 +88,7 @@ def measured(
     shapes = training_shapes(options.shapes)
     noise = FreshNoise(shapes)
     pool = DenoisedPool(options.out / f"pool-1-{steps}", noise, shapes, [first], POOL_SIZE, 0)
-    initial = widened(first[1].state_dict(), first[0], config.stage)
+    initial = grown(first[1].state_dict(), first[0], config.stage)
     network, speed = finished(Trainer(config, Both(noise, pool), initial))
     weights = sum(p.numel() for p in network.parameters())
     about = {"weights": weights, "patches_per_second": speed}

@@ -25,19 +25,20 @@ GOLDEN_PATCHES = 4
 
 
 def golden(cascade: Cascade) -> dict[str, np.ndarray]:
-    """Random patches and what each stage answers, in the inference form."""
+    """Random patches and what each stage answers of as many of their channels as it sees, in the inference form."""
     generator = torch.Generator().manual_seed(0)
-    stage = cascade.config.stages[0]
-    shape = (GOLDEN_PATCHES, stage.patch.n_nodes)
-    n_channels = stage.patch.n_channels
+    patches = [stage.patch for stage in cascade.config.stages]
+    shape = (GOLDEN_PATCHES, patches[0].n_nodes)
+    n_channels = max(patch.n_channels for patch in patches)
     # Every patch around a middle of its own, so that also a network that pools them answers each differently.
     middle = torch.rand((GOLDEN_PATCHES, 1, n_channels), generator=generator) * 2 - 1
     features = middle + torch.rand((*shape, n_channels), generator=generator) - 0.5
-    neighbors = torch.randint(0, stage.patch.n_nodes, (*shape, 3), generator=generator, dtype=torch.int32)
+    neighbors = torch.randint(0, shape[1], (*shape, 3), generator=generator, dtype=torch.int32)
     arrays = {"features": features.numpy(), "neighbors": neighbors.numpy()}
     with torch.inference_mode():
-        for index, network in enumerate(cascade.for_inference().stages):
-            arrays[f"stage{index + 1}"] = network(features, neighbors).numpy()
+        for number, network in enumerate(cascade.for_inference().stages, start=1):
+            seen = features[..., : patches[number - 1].n_channels]
+            arrays[f"stage{number}"] = network(seen, neighbors).numpy()
     return arrays
 
 

@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from train_cases import RECIPE, STAGE, logged, sphere, use_small_shapes
+from train_cases import RECIPE, logged, sphere, use_small_shapes
 
 from gcnd.data.noise import add_noise
 from gcnd.denoise import denoise, denoise_arrays
 from gcnd.errors import ConfigError
-from gcnd.nn.cascade import Cascade, StageConfig
-from gcnd.nn.networks import build_network
+from gcnd.nn.cascade import Cascade
 from gcnd.train.corpus import generated_corpus
 from gcnd.train.loop import StepReport
 from gcnd.train.recipes import RECIPES, Recipe, get_recipe
-from gcnd.train.run import TrainingRun, adapted, append_line, widened
+from gcnd.train.run import TrainingRun, adapted, append_line
 from gcnd.weights import load_cascade
 from gcnd.weights.files import load_tensors
 
@@ -167,74 +166,6 @@ def test_a_run_starts_from_given_weights_stage_by_stage(straight: Path, tmp_path
         weights = [key for key in given if key.endswith("weight") and "norm" not in key]
         assert weights
         assert all(torch.equal(found[key], given[key]) for key in weights)
-
-
-@pytest.mark.parametrize(
-    "channels",
-    [
-        {"scale_space": True},
-        {"roughness": True},
-        {"scale_space": True, "roughness": True},
-        {"first_normals": True},
-        {"scale_space": True, "n_nodes": 48, "patch_scale": 5.5},
-    ],
-)
-def test_weights_widened_for_new_channels_answer_the_same(channels: dict[str, Any]) -> None:
-    patch = replace(STAGE.patch, **channels)
-    wider = replace(STAGE, network=replace(STAGE.network, in_channels=patch.n_channels), patch=patch)
-    torch.manual_seed(5)
-    narrow = build_network(STAGE.network)
-    torch.nn.init.normal_(narrow.out.weight)
-    wide = build_network(wider.network)
-    wide.load_state_dict(widened(narrow.state_dict(), STAGE, wider))
-    features = torch.randn(3, 32, patch.n_channels)
-    neighbors = torch.randint(0, 32, (3, 32, 3), dtype=torch.int32)
-    expected = narrow.eval()(features[..., :17], neighbors)
-    assert torch.allclose(wide.eval()(features, neighbors), expected, atol=1e-5)
-
-
-def test_weights_are_widened_between_the_channels_that_there_are() -> None:
-    given, wanted = (
-        replace(STAGE, network=replace(STAGE.network, in_channels=patch.n_channels), patch=patch)
-        for patch in (
-            replace(STAGE.patch, roughness=True),
-            replace(STAGE.patch, scale_space=True, first_normals=True, roughness=True),
-        )
-    )
-    torch.manual_seed(5)
-    narrow, wide = build_network(given.network), build_network(wanted.network)
-    torch.nn.init.normal_(narrow.out.weight)
-    wide.load_state_dict(widened(narrow.state_dict(), given, wanted))
-    features = torch.randn(3, 32, wanted.patch.n_channels)
-    neighbors = torch.randint(0, 32, (3, 32, 3), dtype=torch.int32)
-    old = torch.cat([features[..., :17], features[..., -4:]], dim=-1)
-    answered = wide.eval()(features, neighbors)
-    assert torch.allclose(answered, narrow.eval()(old, neighbors), atol=1e-5)
-    changed = features.clone()
-    changed[..., 17:35] += 1
-    assert torch.equal(wide.eval()(changed, neighbors), answered)
-
-
-@pytest.mark.parametrize(
-    ("given", "wanted"),
-    [
-        (
-            replace(
-                STAGE,
-                network=replace(STAGE.network, in_channels=26),
-                patch=replace(STAGE.patch, scale_space=True),
-            ),
-            STAGE,
-        ),
-        (STAGE, replace(STAGE, network=replace(STAGE.network, knn_k=5))),
-        (STAGE, replace(STAGE, patch=replace(STAGE.patch, sigma_vote=0.5))),
-        (STAGE, replace(STAGE, patch=replace(STAGE.patch, vertex_offsets=False, scale_space=True))),
-    ],
-    ids=["fewer channels", "other network", "other patches", "other channels"],
-)
-def test_weights_of_another_layout_are_refused(given: StageConfig, wanted: StageConfig) -> None:
-    with pytest.raises(ConfigError, match="another layout"):
-        widened(build_network(given.network).state_dict(), given, wanted)
 
 
 def test_a_finished_stage_of_other_settings_is_refused(straight: Path, tmp_path: Path) -> None:

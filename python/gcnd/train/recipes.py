@@ -67,6 +67,16 @@ REFINE_WHERE_CONSISTENT = RefinementConfig(iterations=12, sigma_r=0.15, toleranc
 
 OUR_PATCH = PatchConfig(scale_space=True, roughness=True)
 
+OUR_LATER_PATCH = replace(OUR_PATCH, first_normals=True)
+"""After the first pass, what it took away can only be told by the mesh before it."""
+
+
+def _after_first(stage: StageConfig, **changes: Any) -> StageConfig:
+    """The same stage told the normals before the first pass, and other changes."""
+    patch = replace(stage.patch, first_normals=True)
+    network = replace(stage.network, in_channels=patch.n_channels)
+    return replace(stage, patch=patch, network=network, **changes)
+
 
 def _default(*steps: int) -> Recipe:
     """The first stage is covered more thinly: what it misses, the second still sees."""

@@ -14,10 +14,11 @@ from gcnd import _geom
 from gcnd.denoise import denoise_arrays
 from gcnd.errors import ConfigError
 from gcnd.formats.atomic import write_atomic_npz
-from gcnd.nn.cascade import OPTIONAL_CHANNELS, Cascade, written_out
+from gcnd.nn.cascade import Cascade, written_out
 from gcnd.nn.distributed import first_process_first, process_rank
 from gcnd.nn.networks import build_network
 from gcnd.predict import fast_precision, predict_normals
+from gcnd.train.grow import fits, grown
 from gcnd.train.loop import StepReport, TrainConfig, Trainer, check_settings
 from gcnd.train.pool import DenoisedPool, evaluation_copy, run_stages
 from gcnd.weights import save_cascade
@@ -179,9 +180,9 @@ class TrainingRun:
         """Weights of the same stage in ``start_from``, else of the stage before, where they fit."""
         if self.start is not None and index < len(self.start.stages):
             given = self.start.config.stages[index]
-            return widened(self.start.stages[index].state_dict(), given, config.stage)
+            return grown(self.start.stages[index].state_dict(), given, config.stage)
         if self.recipe.warm_start and earlier and fits(earlier[-1][0], config.stage):
-            return widened(earlier[-1][1].state_dict(), earlier[-1][0], config.stage)
+            return grown(earlier[-1][1].state_dict(), earlier[-1][0], config.stage)
         return None
 
     def _validate(self, trainer: Trainer, config: TrainConfig, starts: list[NoisyMesh]) -> float:
@@ -225,68 +226,6 @@ def append_line(path: Path, line: str) -> None:
         file.seek(0)
         file.truncate(file.read().rfind(b"\n") + 1)
         file.write(line.encode() + b"\n")
-
-
-def widened(
-    state: dict[str, torch.Tensor], given: StageConfig, wanted: StageConfig
-) -> dict[str, torch.Tensor]:
-    """Fits weights to a network of the same layout that may see more: the scale space, the roughness of the mesh.
-
-    The weights of new channels are zero, so that both networks answer the same. Patches may be of another size.
-
-    Args:
-        state: Weights of a network.
-        given: The stage that they were trained for.
-        wanted: The stage to fit them to.
-
-    Returns:
-        Weights for ``wanted.network``.
-
-    Raises:
-        ConfigError: The layouts differ in anything else.
-
-    Example:
-        >>> from gcnd.train.recipes import get_recipe
-        >>> stage = get_recipe("default").stages[0].stage
-        >>> weights = build_network(stage.network).state_dict()
-        >>> widened(weights, stage, stage).keys() == weights.keys()
-        True
-    """
-    if not fits(given, wanted):
-        raise ConfigError(
-            "the weights to start from have another layout than the recipe's networks",
-            hint="start from weights of the same recipe, or leave out --start-from",
-        )
-    if given.patch.n_channels == wanted.patch.n_channels:
-        return state
-    # Of every channel that is wanted, whether the weights know it.
-    known = [True] * 8
-    for name, n in OPTIONAL_CHANNELS.items():
-        known += [getattr(given.patch, name)] * n * getattr(wanted.patch, name)
-    names = [f"trunk.static.0.{part}.weight" for part in ("center", "neighbor")]
-    return state | {name: _spread(state[name], torch.tensor(known)) for name in names}
-
-
-def fits(given: StageConfig, wanted: StageConfig) -> bool:
-    """Whether weights of one stage can start another: of its layout, and with no channel that it has not."""
-    network = replace(given.network, in_channels=wanted.network.in_channels)
-    size = replace(given.patch, patch_scale=wanted.patch.patch_scale, n_nodes=wanted.patch.n_nodes)
-    patch = replace(size, **{name: getattr(wanted.patch, name) for name in OPTIONAL_CHANNELS})
-    fewer = any(getattr(given.patch, name) and not getattr(wanted.patch, name) for name in OPTIONAL_CHANNELS)
-    same = given.patch.n_channels == wanted.patch.n_channels
-    return (
-        not fewer
-        and network == wanted.network
-        and patch == wanted.patch
-        and (same or bool(network.static_channels))
-    )
-
-
-def _spread(columns: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
-    """Puts columns (R, n) where ``known`` (N,) is true, n times, and zeros elsewhere."""
-    out = columns.new_zeros(len(columns), len(known))
-    out[:, known] = columns
-    return out
 
 
 def adapted(
