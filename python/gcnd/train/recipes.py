@@ -71,17 +71,15 @@ OUR_LATER_PATCH = replace(OUR_PATCH, first_normals=True)
 """After the first pass, what it took away can only be told by the mesh before it."""
 
 
-def _after_first(stage: StageConfig, **changes: Any) -> StageConfig:
-    """The same stage told the normals before the first pass, and other changes."""
-    patch = replace(stage.patch, first_normals=True)
-    network = replace(stage.network, in_channels=patch.n_channels)
-    return replace(stage, patch=patch, network=network, **changes)
+def _later(network: NetworkConfig) -> NetworkConfig:
+    """The same network for `OUR_LATER_PATCH`."""
+    return replace(network, in_channels=OUR_LATER_PATCH.n_channels)
 
 
 def _default(*steps: int) -> Recipe:
     """The first stage is covered more thinly: what it misses, the second still sees."""
     first = StageConfig(DEFAULT_NETWORK, OUR_PATCH, coverage=1.0)
-    second = StageConfig(DEFAULT_NETWORK, OUR_PATCH, passes=2, coverage=2.0)
+    second = StageConfig(_later(DEFAULT_NETWORK), OUR_LATER_PATCH, passes=2, coverage=2.0)
     return Recipe(
         "default",
         "patch network with a normal for every node, two stages, the second run twice",
@@ -97,7 +95,7 @@ def _default(*steps: int) -> Recipe:
 def _fast(*steps: int) -> Recipe:
     """As default, with a fifth of the products a patch and half the patches."""
     first = StageConfig(FAST_NETWORK, OUR_PATCH, coverage=0.3)
-    second = StageConfig(FAST_NETWORK, OUR_PATCH, passes=2, coverage=0.4)
+    second = StageConfig(_later(FAST_NETWORK), OUR_LATER_PATCH, passes=2, coverage=0.4)
     return Recipe(
         "fast",
         "small patch network with a normal for every node, two stages, the second run twice",
