@@ -17,12 +17,19 @@ def last_prediction(
     Returns:
         Positions (V, 3) before the last vertex update, and the last stage's prediction.
     """
-    passes = cascade.passes()
+    passes, first = cascade.passes(), vertices
     roughness = _geom.mesh_roughness(topology, vertices) if cascade.sees_roughness else None
     for index, (stage, network) in enumerate(passes):
         precision = fast_precision("cpu")
         prediction = predict_normals(
-            topology, vertices, stage, network, seed=index, roughness=roughness, precision=precision
+            topology,
+            vertices,
+            stage,
+            network,
+            seed=index,
+            roughness=roughness,
+            first=first,
+            precision=precision,
         )
         if index < len(passes) - 1:
             iterations = cascade.config.vertex_iterations
