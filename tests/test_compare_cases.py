@@ -42,6 +42,14 @@ def test_a_clean_folder_gets_every_kind_at_every_level(tmp_path: Path) -> None:
     assert len({case.load().digest for case in cases[:4]}) == 4
 
 
+def test_names_that_stand_for_means_are_put_in_quotes(tmp_path: Path) -> None:
+    write_meshes(tmp_path / "clean", "all/a.ply")
+    assert {case.kind for case in collect(tmp_path / "clean")} == {"'all'"}
+    noisy = write_pairs(tmp_path / "pairs" / "test") / "noisy"
+    (noisy / "ball_n2.ply").rename(noisy / "ball_all.ply")
+    assert {case.level for case in collect(tmp_path / "pairs")} == {"'all'", "n1"}
+
+
 def test_a_scan_is_one_case_whatever_the_levels_and_has_faces_of_its_own(tmp_path: Path) -> None:
     write_meshes(tmp_path, "a.ply")
     cases = collect(tmp_path, NoisePlan(("kinect2", "print", "gaussian"), (0.1, 0.2), seed=3))

@@ -73,6 +73,7 @@ def test_ctrl_c_keeps_rows_and_ends_with_130(tmp_path: Path) -> None:
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "Traceback" not in errors
+    assert errors.splitlines()[-1] == f"stopped: finished rows are in {out}, and the same command goes on"
     kept = [json.loads(line)["method"] for line in rows.read_text(encoding="utf-8").splitlines()]
     assert kept[:3] == ["noisy", "taubin[iterations=1]", "taubin[iterations=2]"]
     assert len(kept) < 60
@@ -91,6 +92,7 @@ def test_bad_input_is_told_without_a_traceback(tmp_path: Path, capsys: pytest.Ca
     for arguments, message, hint in (
         ([*good, "--methods", "l1"], "there is no method 'l1'", "bilateral-normal"),
         ([*good, "--levels", "low"], "levels is 'low', allowed: numbers", ""),
+        ([*good, "--threads", "0"], "threads is 0, allowed: 1 to", "hint: this machine"),
         ([*good, "--noise", "salt"], "unknown noise 'salt'", "hint: kinds are gaussian"),
         ([str(data), "--out", str(tmp_path / "file")], "is a file, not a folder", "hint: give --out"),
         ([str(tmp_path / "empty"), "--out", str(out)], "no mesh in", "hint: supported: .ply"),
@@ -121,3 +123,15 @@ def test_missing_libraries_are_skipped_with_a_line(
     assert "skipped meshlib:denoise: not here" in (out / "report.html").read_text(encoding="utf-8")
     assert main([*arguments, "meshlib"]) == 1
     assert "error: no method is left to compare" in capsys.readouterr().err
+
+
+def test_failures_are_told_with_their_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, out = write_meshes(tmp_path / "data", "a.ply", "b.ply"), tmp_path / "out"
+    methods = ["--methods", "taubin[mu=-0.1],laplacian"]
+    assert main(["compare", str(data), "--out", str(out), *QUICK, "--quiet", *methods]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == (
+        "failed: taubin[mu=-0.1], a, gaussian 0.2 and 1 more: "
+        "ConfigError: mu is -0.1, allowed: -2 or more and below -lambda\n"
+    )
+    assert "0/2" in printed.out

@@ -127,6 +127,16 @@ def test_parameters_are_told_with_their_defaults() -> None:
     assert len(infos) >= 10
 
 
+def test_the_reference_page_has_every_filter_with_its_source_and_defaults() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "reference" / "filters.md").read_text(encoding="utf-8")
+    rows = [line for line in page.splitlines() if line.startswith("| `")]
+    for info, row in zip(list_filters(), rows, strict=True):
+        shown = {name: value if value is not None else "mesh" for name, value in info.parameters.items()}
+        texts = {n: str(v).lower() if isinstance(v, bool) else str(v) for n, v in shown.items()}
+        parameters = ", ".join(f"`{name.removesuffix('_')}` {text}" for name, text in texts.items())
+        assert row == f"| `{info.name}` | {info.source} | {parameters} |"
+
+
 def test_every_parameter_reaches_the_filter() -> None:
     mesh = jittered(open_sphere(2)[0], 0.03, 3), open_sphere(2)[1]
     other: dict[str, Any] = {

@@ -67,6 +67,10 @@ _FILTERS: dict[str, tuple[Callable[..., Any], str, str]] = {
 }
 
 
+# Counts that the core bounds; it cannot tell of a number that does not fit its own.
+_COUNTS = {"similar_patches": "1 to 64", "patch_size": "2 to 512", "search_rings": "1 to 32"}
+
+
 def list_filters() -> list[FilterInfo]:
     """Lists the filters.
 
@@ -235,6 +239,8 @@ def _checked(method: str, defaults: Mapping[str, Any], parameters: Mapping[str, 
         if not is_right:
             raise ConfigError(f"{given} is {value!r}, allowed: {_allowed(default)}")
         if isinstance(default, int) and not is_bool:
+            if name in _COUNTS and not 0 <= value < 1 << 64:
+                raise ConfigError(f"{given} is {value}, allowed: {_COUNTS[name]}")
             check_count(given, value)
         checked[name] = value
     return checked

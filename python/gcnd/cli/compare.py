@@ -17,6 +17,7 @@ from gcnd.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from gcnd.compare.rows import Row
     from gcnd.compare.summary import Line
 
 __all__ = ["Pictures", "SplitName", "run"]
@@ -75,25 +76,31 @@ def run(
 
     wanted = parse_methods(methods or ["presets,classical"])
     plan = NoisePlan(_words(noise), _numbers(levels), fraction, seed)
-    conditions = Conditions(threads or available_threads(), timeout, samples, retry_failed)
+    processors = available_threads() if threads is None else threads
+    conditions = Conditions(processors, timeout, samples, retry_failed)
     check_report_libraries()
     make_output_folder(out)
     cases = collect_cases(dataset, plan, n_shapes=shapes, shape_folder=out / "shapes", split=split.value)
     usable, skipped = available(wanted)
-    for line in skipped:
-        print(line, file=sys.stderr)
     if not usable:
         raise ConfigError("no method is left to compare", hint="; ".join(skipped))
+    for line in skipped:
+        print(line, file=sys.stderr)
     options = {"dataset": dataset, **asdict(conditions), **asdict(plan)}
-    with show_progress(quiet=quiet) as progress:
-        rows = compare(cases, usable, out, conditions, progress=progress)
-        lines = finish(
-            out, options, cases, usable, rows, skipped=skipped, pictures=pictures.value, progress=progress
-        )
+    try:
+        with show_progress(quiet=quiet) as progress:
+            rows = compare(cases, usable, out, conditions, progress=progress)
+            lines = finish(
+                out, options, cases, usable, rows, skipped=skipped, pictures=pictures.value, progress=progress
+            )
+    except KeyboardInterrupt:
+        print(f"stopped: finished rows are in {out}, and the same command goes on", file=sys.stderr)
+        raise
     if as_json:
         print_json([asdict(line) for line in lines])
     else:
         _print_means(lines)
+    _print_failures(rows)
     if not quiet:
         print(f"wrote {out / 'report.html'}, results.csv and results.json", file=sys.stderr)
 
@@ -142,6 +149,17 @@ def _print_means(lines: Sequence[Line]) -> None:
         for row in table:
             cells = [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
             print("  ".join([row[0].ljust(widths[0]), *cells]))
+
+
+def _print_failures(rows: Sequence[Row]) -> None:
+    """Says on stderr why methods failed, once for each reason, with the first mesh that it befell."""
+    failed: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        if row.error is not None:
+            failed.setdefault((row.method, row.error), []).append(row)
+    for (method, error), of in failed.items():
+        more = f" and {len(of) - 1} more" if len(of) > 1 else ""
+        print(f"failed: {method}, {of[0].mesh}, {of[0].noise} {of[0].level}{more}: {error}", file=sys.stderr)
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -11,6 +11,7 @@ from typing import cast
 
 import numpy as np
 
+from gcnd.compare.summary import ALL
 from gcnd.data.folders import find_meshes
 from gcnd.data.generated import load_generated
 from gcnd.data.noise import NOISE_KINDS, FaceArray, FloatArray, NoiseKind, add_noise
@@ -158,7 +159,7 @@ def _paired(pairs: Sequence[PairFiles]) -> list[Case]:
     cases = []
     for pair in pairs:
         load_pair(pair)
-        level = pair.noisy.stem.removeprefix(pair.clean.stem).lstrip("_") or "noisy"
+        level = _apart(pair.noisy.stem.removeprefix(pair.clean.stem).lstrip("_") or "noisy")
 
         def read(pair: PairFiles = pair) -> CaseMesh:
             return CaseMesh(*load_pair(pair))
@@ -173,11 +174,16 @@ def _clean(folder: Path, plan: NoisePlan) -> list[Case]:
     stems = Counter(path.with_suffix("") for path in paths)
     for path in paths:
         mesh, _ = to_arrays(load(path))[0].welded()
-        kind = "mesh" if path.parent == folder else path.parent.name
+        kind = "mesh" if path.parent == folder else _apart(path.parent.name)
         short = path.with_suffix("")
         name = (short if stems[short] == 1 else path).relative_to(folder).as_posix()
         cases += _noisy(name, kind, mesh.vertices, mesh.faces, plan)
     return cases
+
+
+def _apart(name: str) -> str:
+    """A file's or a folder's name, in quotes where the tables have it for the mean over all."""
+    return f"'{name}'" if name == ALL else name
 
 
 def _generated(n: int, plan: NoisePlan, folder: Path) -> list[Case]:
