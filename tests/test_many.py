@@ -91,6 +91,30 @@ def test_results_inside_the_input_are_no_input(folder: Path) -> None:
     assert len(mesh_files(folder, folder / "clean")) == 4
 
 
+def test_results_may_go_above_the_input(folder: Path) -> None:
+    before = contents(folder)
+    assert statuses(denoise_many(folder, folder.parent, denoiser=TAUBIN)) == ALL
+    assert contents(folder) == before
+    assert {"a.ply", "deep/c.off", "z.OBJ"} < set(contents(folder.parent))
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("how", ["nested", "link"])
+def test_a_result_never_replaces_another_input(folder: Path, how: str, overwrite: bool) -> None:
+    out = folder.parent
+    if how == "nested":  # in/in/a.ply would become in/a.ply, which is read too
+        (folder / "in").mkdir()
+        save(noisy(4), folder / "in" / "a.ply")
+    else:
+        out = folder.parent / "out"
+        out.mkdir()
+        (out / "a.ply").symlink_to(folder / "z.OBJ")
+    before = contents(folder.parent)
+    with pytest.raises(ConfigError, match="goes, is the input"):
+        denoise_many(folder, out, denoiser=TAUBIN, overwrite=overwrite)
+    assert contents(folder.parent) == before
+
+
 def test_progress_is_one_for_all_and_goes_by_size(folder: Path, tmp_path: Path) -> None:
     told: list[tuple[float, str]] = []
     denoise_many(folder, tmp_path / "out", denoiser=TAUBIN, progress=lambda *call: told.append(call))
@@ -147,6 +171,12 @@ def test_meshes_come_back_in_order(folder: Path) -> None:
         ("absent", "out", ConfigError, "no such folder"),
         ("in", "in", ConfigError, "is the input itself"),
         ("in/empty", "out", ConfigError, "there is no mesh to denoise"),
+        (
+            ["in/a.ply", "in/deep/c.off"],
+            "in",
+            ConfigError,
+            r"in/a\.ply, where .* goes, is the input in/a\.ply",
+        ),
         (["in/a.ply", "in/empty/../a.ply"], "out", ConfigError, "two results would be written to a.ply"),
         ([noisy(1)], "out", ConfigError, "mesh 0 is no file: its result has no name"),
         ([], None, ConfigError, "there is no mesh to denoise"),
@@ -205,6 +235,17 @@ def test_a_folder_as_json_with_a_report_and_controls(
     assert rows["a.ply"]["report"]["displacement"]["max"] == 0.0
     assert rows["a.ply"]["report"]["method"]["controls"]["strength"] == 0.0
     assert np.array_equal(load(folder.parent / "out" / "a.ply").vertices, load(folder / "a.ply").vertices)
+
+
+@pytest.mark.parametrize("name", ["in/a.ply", "in/deep/c.off", "out/z.OBJ"])
+def test_a_report_of_a_folder_replaces_no_mesh(
+    folder: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    (folder.parent / "out").mkdir()
+    before = contents(folder.parent)
+    assert run_folder(folder, "--report", str(folder.parent / name)) == 1
+    assert "is the input itself, or another file of this run" in capsys.readouterr().err
+    assert contents(folder.parent) == before
 
 
 def test_a_folder_is_not_written_to_a_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

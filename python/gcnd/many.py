@@ -5,14 +5,15 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from gcnd.errors import Cancelled, ConfigError, check_progress
+from gcnd.errors import Cancelled, ConfigError, GcndError, check_progress
+from gcnd.formats.atomic import write_hint
 from gcnd.mesh_io import SUPPORTED, check_output_path, load, save
 from gcnd.runs import Denoised, Method
 from gcnd.stages import Progress
@@ -109,9 +110,8 @@ def denoise_many(
         One outcome a mesh, in order.
 
     Raises:
-        ConfigError: There is nothing to do, two results would have one name, a mesh that is no file has an output, or
-            ``progress`` cannot be called.
-        MeshError: The output folder is the input's.
+        ConfigError: There is nothing to do, two results would have one name, a result would replace an input, a mesh
+            that is no file has an output, or ``progress`` cannot be called.
         Cancelled: ``progress`` returned False; results so far are kept.
 
     Example:
@@ -160,9 +160,12 @@ def denoise_many(
 def mesh_files(folder: Path, without: Path | None = None) -> list[Path]:
     """Lists the mesh files below a folder, sorted; hidden ones, and those below ``without``, are left out."""
     found = []
+    results = None if without is None else without.resolve()
+    if results is not None and folder.resolve().is_relative_to(results):
+        results = None  # the results go above: that leaves nothing out
     for path in sorted(folder.rglob("*")):
         is_hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        is_result = without is not None and path.resolve().is_relative_to(without.resolve())
+        is_result = results is not None and path.resolve().is_relative_to(results)
         if path.suffix.lower() in SUPPORTED and path.is_file() and not is_hidden and not is_result:
             found.append(path)
     return found
@@ -255,7 +258,26 @@ def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[Job]:
         raise ConfigError(
             f"two results would be written to {twice}", "pass a folder, or rename one of the inputs"
         )
+    _check_no_input_is_replaced(jobs)
     return jobs
+
+
+def _check_no_input_is_replaced(jobs: Sequence[Job]) -> None:
+    """Raises ``ConfigError`` where a result has the place of any input, as through a link or folders in each other."""
+    inputs = {_identity(job.mesh): job.mesh for job in jobs if job.output and os.path.isfile(job.mesh)}
+    for job in jobs:
+        replaced = inputs.get(_identity(job.output)) if job.output and job.output.exists() else None
+        if replaced is not None:
+            raise ConfigError(
+                f"{job.output}, where the result of {job.mesh} goes, is the input {replaced}",
+                "choose another folder; the input is never changed",
+            )
+
+
+def _identity(path: Folder) -> tuple[int, int]:
+    """What a file has under all of its names."""
+    found = os.stat(path)
+    return found.st_dev, found.st_ino
 
 
 def _file_job(name: str, path: Path, output: Path | None) -> Job:
@@ -279,7 +301,7 @@ def run_job(job: Job, denoiser: Method, wanted: Wanted, progress: Progress) -> O
             return _done(job, started, done, wanted, denoised=done)
         if wanted.confidence:
             check_confidence_path(job.output)
-        job.output.parent.mkdir(parents=True, exist_ok=True)
+        _make_folder(job.output.parent)
         check_output_path(job.output, job.mesh)
         is_same = job.output.suffix.lower() == job.mesh.suffix.lower()
         mesh = load(job.mesh, shape_only=is_same, triangulate=denoiser.triangulate)
@@ -293,6 +315,15 @@ def run_job(job: Job, denoiser: Method, wanted: Wanted, progress: Progress) -> O
         Exception
     ) as error:  # whatever is wrong with one mesh is told in its outcome and must not stop the rest
         return Outcome(job.name, "failed", time.perf_counter() - started, error=error)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GcndError(
+            f"cannot make the folder {folder}: {error.strerror or error}", write_hint(error)
+        ) from error
 
 
 def _done(job: Job, started: float, done: Denoised, wanted: Wanted, **result: Any) -> Outcome:

@@ -47,7 +47,7 @@ def run_folder(
         as_json: Whether to print the table as JSON on stdout.
     """
     with nothing_to_lose():
-        from gcnd.many import denoise_many
+        from gcnd.many import denoise_many, mesh_files
         from gcnd.mesh_io import check_output_path
         from gcnd.report import write_report
 
@@ -56,7 +56,9 @@ def run_folder(
                 f"{output_folder} is a file, and {input_folder} a folder", "name a folder for the results"
             )
         if request.report is not None:
-            check_output_path(request.report, is_mesh=False)
+            files = mesh_files(input_folder, output_folder)
+            results = [output_folder / path.relative_to(input_folder) for path in files]
+            check_output_path(request.report, *files, *results, is_mesh=False)
         method = request.method()
     # The table tells them, with the names of the files.
     with ignoring_warnings(), show_progress(quiet=quiet) as progress:
