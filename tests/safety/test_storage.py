@@ -17,7 +17,9 @@ import torch
 import trimesh
 
 from gcnd.cli import main
+from gcnd.errors import GcndError
 from gcnd.filters import Filter
+from gcnd.formats.atomic import write_hint
 from gcnd.many import Outcome, denoise_many
 from gcnd.mesh_io import SUPPORTED, load, save
 from gcnd.weights.files import load_tensors, save_tensors
@@ -143,6 +145,51 @@ def test_a_folder_run_on_a_full_disk_tells_each_and_goes_on_later(
     again = denoise_many(given, home / "out", denoiser=Filter("laplacian"))
     assert [outcome.status for outcome in again] == ["skipped", "done", "done"]
     assert contents(given) == before
+
+
+def test_a_folder_that_cannot_be_made_is_told_of_each_file(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(Path, "mkdir", fail)
+    (outcome,) = denoise_many(home, home / "out", denoiser=Filter("laplacian"))
+    assert outcome.status == "failed"
+    assert isinstance(outcome.error, GcndError)
+    assert str(outcome.error) == f"cannot make the folder {home / 'out'}: Read-only file system"
+    assert outcome.error.hint == "it is mounted read-only: write elsewhere"
+
+
+def test_a_page_that_cannot_be_written_leaves_the_old(
+    home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = home / "view.html"
+    page.write_text("precious")
+    before = contents(home)
+
+    def fail(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    given = str(home / "in.ply")
+    assert main(["view", given, "--against", given, "--out", str(page)]) == 1
+    told = capsys.readouterr().err
+    assert f"cannot write {page}: No space left on device" in told
+    assert "hint: free some space" in told
+    assert contents(home) == before
+
+
+def test_an_error_of_the_system_has_a_hint_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "somewhere")
+
+    monkeypatch.setattr(sys.modules[main.__module__], "app", fail)
+    assert main(["models"]) == 1
+    hint = write_hint(OSError(errno.ENOSPC, ""))
+    assert capsys.readouterr().err == f"error: somewhere: No space left on device\n\nhint: {hint}\n"
 
 
 def test_two_runs_into_one_folder_at_once(home: Path) -> None:

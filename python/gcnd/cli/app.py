@@ -64,8 +64,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except GcndError as error:
         return _tell(str(error), error.hint)
     except OSError as error:
+        from gcnd.formats.atomic import write_hint
+
         names = " -> ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
-        return _tell(f"{names}: {error.strerror}" if names else str(error.strerror or error))
+        told = f"{names}: {error.strerror}" if names else str(error.strerror or error)
+        return _tell(told, write_hint(error))
     except MemoryError:
         return _tell("out of memory", "close other programs, or use a machine with more memory")
     except KeyboardInterrupt:

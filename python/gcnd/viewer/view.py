@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gcnd.errors import ConfigError, MeshError
-from gcnd.formats.atomic import write_atomic
+from gcnd.errors import ConfigError, GcndError, MeshError
+from gcnd.formats.atomic import write_atomic, write_hint
 from gcnd.mesh_io import load, to_arrays
 from gcnd.same_faces import check_same_faces
 from gcnd.viewer.changes import Figures, compare_meshes
@@ -58,7 +58,7 @@ def view(
             or cannot be read; see `gcnd.mesh_io.to_arrays`.
         ConfigError: `out` is not called .html, or its folder does not exist; or the confidence is not one number from
             0 to 1 for each face.
-        OSError: The page cannot be written. What stood at `out` then still does.
+        GcndError: The page cannot be written. What stood at `out` then still does.
 
     Example:
         >>> figures = view("clean.ply", against="noisy.ply", out="view.html")  # doctest: +SKIP
@@ -86,7 +86,11 @@ def view(
         confidence = getattr(after, "face_attributes", {}).get("confidence")
     known = None if confidence is None else _checked_confidence(confidence, len(after_mesh.faces))
     layers, figures = compare_meshes(before_mesh, after_mesh, truth_mesh, known)
-    write_atomic(path, view_page(before_mesh, after_mesh, layers, figures, names).encode())
+    page = view_page(before_mesh, after_mesh, layers, figures, names)
+    try:
+        write_atomic(path, page.encode())
+    except OSError as error:
+        raise GcndError(f"cannot write {path}: {error.strerror or error}", write_hint(error)) from error
     return figures
 
 
