@@ -29,6 +29,7 @@ from fuzz_files import card_file, log_file, mesh_file, rows_file, weights_file
 from fuzz_kernels import KERNELS, kernel
 from fuzz_surface import arrays, controls, denoise, info, signs
 
+from gcnd.errors import MeshWarning
 from gcnd.filters import list_filters
 
 CASES: dict[str, Case] = {
@@ -61,7 +62,8 @@ def run_case(name: str, seed: int, number: int, folder: Path) -> bool:
     """Runs one case, the same one for the same arguments; returns whether its input was accepted."""
     rng = np.random.default_rng([seed, number, *name.encode()])
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
+        for kind in (RuntimeWarning, MeshWarning):
+            warnings.simplefilter("ignore", kind)
         try:
             return CASES[name](rng, folder)
         except Refused:
