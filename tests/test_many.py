@@ -248,6 +248,13 @@ def test_a_report_of_a_folder_replaces_no_mesh(
     assert contents(folder.parent) == before
 
 
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["denoise", str(tmp_path / "absent"), str(tmp_path / "out")]) == 1
+    told = capsys.readouterr().err
+    assert told.startswith(f"error: no such file or folder: {tmp_path / 'absent'}\n\nhint: ")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_folder_is_not_written_to_a_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder.parent / "out"
     out.write_text("precious")

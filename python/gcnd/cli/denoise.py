@@ -14,7 +14,7 @@ import typer
 from gcnd.cli.interrupt import nothing_to_lose
 from gcnd.cli.options import JsonFlag, Seed, print_json
 from gcnd.cli.progress import show_progress
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, MeshError
 
 if TYPE_CHECKING:
     from gcnd.runs import Method
@@ -192,6 +192,10 @@ def run(
         "preserve_volume": preserve_volume,
     }
     request = Request(settings, options, controls, confidence, report, triangulate)
+    if not input_path.exists():
+        # First of all: a folder that is not there would be taken for a file, and its output for a wrong one.
+        what = "file" if input_path.suffix else "file or folder"
+        raise MeshError(f"no such {what}: {input_path}", "check the spelling and the folder")
     if input_path.is_dir():
         from gcnd.cli.denoise_folder import run_folder
 
