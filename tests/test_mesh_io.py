@@ -50,6 +50,7 @@ def test_arrays_have_the_core_types() -> None:
 
 def test_trimesh_comes_back_with_everything_but_stale_normals() -> None:
     mesh = colored_mesh()
+    mesh.units = "mm"
     mesh.vertex_attributes["nx"] = np.ones(5)
     normals_before = mesh.vertex_normals.copy()
     arrays, rebuild = to_arrays(mesh)
@@ -61,6 +62,7 @@ def test_trimesh_comes_back_with_everything_but_stale_normals() -> None:
     assert np.array_equal(moved.vertex_attributes["quality"], mesh.vertex_attributes["quality"])
     assert np.array_equal(moved.face_attributes["label"], mesh.face_attributes["label"])
     assert moved.metadata == mesh.metadata
+    assert moved.units == "mm"
     assert "nx" not in moved.vertex_attributes
     fresh = trimesh.Trimesh(moved.vertices, FACES, process=False)
     assert np.allclose(moved.vertex_normals, fresh.vertex_normals)
