@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
@@ -146,7 +147,12 @@ def test_terminal_gets_a_bar(
             "error: no preset 'x'\n\nhint: see gcnd models\n",
         ),
         (GcndError("odd"), 1, "error: odd\n"),
-        (OSError(28, "No space left on device", "/data/a"), 1, "error: /data/a: No space left on device\n"),
+        (
+            OSError(errno.ENOSPC, "No space left on device", "/data/a"),
+            1,
+            "error: /data/a: No space left on device\n\n"
+            "hint: free some space, or write elsewhere; what stood there is as it was\n",
+        ),
         (OSError("bare"), 1, "error: bare\n"),
         (KeyboardInterrupt(), 130, ""),
     ],

@@ -19,7 +19,6 @@ import trimesh
 from gcnd.cli import main
 from gcnd.errors import GcndError
 from gcnd.filters import Filter
-from gcnd.formats.atomic import write_hint
 from gcnd.many import Outcome, denoise_many
 from gcnd.mesh_io import SUPPORTED, load, save
 from gcnd.weights.files import load_tensors, save_tensors
@@ -178,18 +177,6 @@ def test_a_page_that_cannot_be_written_leaves_the_old(
     assert f"cannot write {page}: No space left on device" in told
     assert "hint: free some space" in told
     assert contents(home) == before
-
-
-def test_an_error_of_the_system_has_a_hint_too(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fail(*_: Any, **__: Any) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device", "somewhere")
-
-    monkeypatch.setattr(sys.modules[main.__module__], "app", fail)
-    assert main(["models"]) == 1
-    hint = write_hint(OSError(errno.ENOSPC, ""))
-    assert capsys.readouterr().err == f"error: somewhere: No space left on device\n\nhint: {hint}\n"
 
 
 def test_two_runs_into_one_folder_at_once(home: Path) -> None:
