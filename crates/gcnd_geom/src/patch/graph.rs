@@ -61,9 +61,10 @@ pub(crate) fn write_graph(view: &PatchView<'_>, node_of_face: &mut IdSlots, row:
         let present = slots.filter(|&slot| slot != NO_SLOT);
         neighbors.iter_mut().zip(present).for_each(|(neighbor, slot)| *neighbor = slot as i32);
     }
-    // A sliver's feature beyond the range of f32 becomes the largest finite number.
+    // A sliver's feature beyond the range of f32 becomes the largest finite number, and 0 where the differences of
+    // coordinates near the end of f64 have overflowed into nothing.
     for feature in &mut row.features[..n_real * n_channels] {
-        *feature = feature.clamp(f32::MIN, f32::MAX);
+        *feature = if feature.is_nan() { 0.0 } else { feature.clamp(f32::MIN, f32::MAX) };
     }
     for (node, &repeated) in view.picks.iter().enumerate().skip(n_real) {
         let repeated = repeated as usize;

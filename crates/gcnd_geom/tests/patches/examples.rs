@@ -126,6 +126,16 @@ fn degenerate_meshes_give_finite_patches() {
 }
 
 #[test]
+fn coordinates_whose_differences_overflow_give_finite_patches() {
+    let (cube, faces) = fixtures::cube();
+    for scale in [1e300, 5e307, 1.6e308] {
+        let large: Vec<DVec3> = cube.iter().map(|&v| (2.0 * v - DVec3::ONE).signum() * scale).collect();
+        let params = PatchParams { scale_space: true, first_normals: true, ..PatchParams::default() };
+        assert!(extract_all(&(large, faces.clone()), params).is_finite(), "{scale}");
+    }
+}
+
+#[test]
 fn patch_normals_averaged_over_a_cover_are_the_mesh_normals() {
     let mesh = bumpy_sphere(8);
     let centers: Vec<u32> = (0..mesh.1.len() as u32).step_by(9).collect();
