@@ -27,6 +27,16 @@ def test_a_pool_of_other_meshes_is_refused(tmp_path: Path) -> None:
         DenoisedPool(tmp_path, FreshNoise(other), other, [], 3, 0)
 
 
+def test_a_pool_of_an_earlier_version_is_refused(tmp_path: Path) -> None:
+    shapes = [clean(sphere())]
+    DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 1, 0)
+    with np.load(tmp_path / "0000.npz") as file:
+        kept = {name: file[name] for name in file if name != "first"}
+    np.savez(tmp_path / "0000.npz", **kept)
+    with pytest.raises(ConfigError, match="by another version"):
+        DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 1, 0)
+
+
 def test_shapes_of_one_name_stay_apart_in_a_pool(tmp_path: Path) -> None:
     def named(shape: CleanShape) -> CleanShape:
         return replace(shape, name="part", kind="cad")

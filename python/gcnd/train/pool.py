@@ -125,14 +125,14 @@ def fingerprint(shape: CleanShape) -> str:
 
 def _load(path: Path, prints: list[str]) -> _Member:
     with np.load(path, allow_pickle=False) as file:
-        member = _Member(int(file["shape"]), file["vertices"], file["roughness"], file["first"])
-        same = member.shape < len(prints) and str(file["fingerprint"]) == prints[member.shape]
-    if not same:
-        raise ConfigError(
-            f"{path} was made from other meshes than this run trains on",
-            hint="give the same meshes again, or another folder",
-        )
-    return member
+        # An earlier version kept no positions from before the first stage.
+        same = "first" in file and int(file["shape"]) < len(prints)
+        if same and str(file["fingerprint"]) == prints[int(file["shape"])]:
+            return _Member(int(file["shape"]), file["vertices"], file["roughness"], file["first"])
+    raise ConfigError(
+        f"{path} was made from other meshes than this run trains on, or by another version",
+        hint="give the same meshes again, or another folder",
+    )
 
 
 def evaluation_copy(network: nn.Module, state: dict[str, torch.Tensor]) -> nn.Module:
