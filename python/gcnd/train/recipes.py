@@ -108,8 +108,9 @@ def _fast(*steps: int) -> Recipe:
     )
 
 
-SCAN_PATCH = {"patch_scale": 8.0, "n_nodes": 256}
-"""As wide as the paper's for scans, since a scanner's noise is as wide as several faces.
+SCAN_PATCH = {"patch_scale": 8.0, "n_nodes": 256, "first_normals": False}
+"""As wide as the paper's for scans, since a scanner's noise is as wide as several faces; on scans the normals before the
+first pass gain nothing.
 
 Choice: docs/choices.md#scan-patches."""
 
@@ -120,14 +121,14 @@ SCAN_VERTEX_ITERATIONS = 60
 
 def _on_scans(recipe: Recipe, patch: dict[str, Any], **training: Any) -> Recipe:
     """A recipe with other patches, on simulated scans; every draw is from one of a fixed number of pairs."""
+
+    def on_scans(stage: StageConfig) -> StageConfig:
+        wide = replace(stage.patch, **patch)
+        return replace(stage, patch=wide, network=replace(stage.network, in_channels=wide.n_channels))
+
+    chunk = ChunkConfig(n_meshes=8, n_patches=1024)
     stages = tuple(
-        replace(
-            config,
-            stage=replace(config.stage, patch=replace(config.stage.patch, **patch)),
-            chunk=ChunkConfig(n_meshes=8, n_patches=1024),
-            **training,
-        )
-        for config in recipe.stages
+        replace(config, stage=on_scans(config.stage), chunk=chunk, **training) for config in recipe.stages
     )
     return replace(recipe, stages=stages, data="scans", n_scans=480)
 
@@ -178,7 +179,7 @@ RECIPES = {
     "default": _default(38_000, 54_500),
     "fast": _fast(13_500, 16_000),
     "paper": _paper(450_000, 300_000),
-    "scan": _scan(8_000, 12_000),
+    "scan": _scan(8_000, 8_000),
     "paper-scan": _paper_scan(450_000, 300_000),
 }
 """By name. The paper's own numbers of steps are 24 and 16 epochs of 2.4 M patches in batches of 128."""
