@@ -64,9 +64,6 @@ def test_a_mesh_takes_no_more_than_is_stated(preset: str, sides: tuple[int, int]
     a_face = stated(r"and ([\d,]+) bytes a face")
     for faces, peak in ((few, small), (many, large)):
         assert peak < MARGIN * (program + a_face * faces), f"{faces} faces took {peak / 2**20:.0f} MiB"
-    # Below 100,000 faces batches of patches still grow with the mesh.
-    growth = (large - small) / (many - few)
-    assert many < 100_000 or growth < BYTES_A_FACE, f"{growth:.0f} bytes a face"
     # A program that takes next to nothing was not measured.
     assert large > 0.3 * program
 

@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from torch import distributed as dist
 from train_cases import TRAIN, clean, cube, sphere
 
-from gcnd.nn.distributed import process_rank
+from gcnd.nn.distributed import process_group, process_rank
 from gcnd.nn.networks import NetworkConfig
 from gcnd.train.loop import TrainConfig, Trainer
 from gcnd.train.samples import Batch, FreshNoise
@@ -60,16 +60,14 @@ def resumed_after(folder: Path, step: int) -> bool:
 
 def main(folder: Path, name: str) -> None:
     """Takes this process's half of the stored batch and stores what one step makes of it."""
-    dist.init_process_group("gloo")
-    if name == "resume":
-        (folder / f"resume.{process_rank()}").write_text(str(resumed_after(folder, 3)), encoding="utf-8")
-        dist.destroy_process_group()
-        return
-    whole = load_file(folder / "batch.safetensors")
-    half = slice(process_rank(), None, dist.get_world_size())
-    batch = Batch(*(whole[field][half].contiguous() for field in Batch._fields))
-    save_file(one_step(name, batch), folder / f"{name}.{process_rank()}.safetensors")
-    dist.destroy_process_group()
+    with process_group(torch.device("cpu")):
+        if name == "resume":
+            (folder / f"resume.{process_rank()}").write_text(str(resumed_after(folder, 3)), encoding="utf-8")
+            return
+        whole = load_file(folder / "batch.safetensors")
+        half = slice(process_rank(), None, dist.get_world_size())
+        batch = Batch(*(whole[field][half].contiguous() for field in Batch._fields))
+        save_file(one_step(name, batch), folder / f"{name}.{process_rank()}.safetensors")
 
 
 if __name__ == "__main__":

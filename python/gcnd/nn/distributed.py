@@ -6,6 +6,7 @@ processes, so that the gradients are those of one process on the whole batch.
 
 from __future__ import annotations
 
+import gc
 import os
 from contextlib import contextmanager
 from datetime import timedelta
@@ -86,4 +87,6 @@ def process_group(device: torch.device) -> Iterator[torch.device]:
     try:
         yield device
     finally:
+        # What shares gradients holds the group in cycles, and would end it, threads and all, while the process exits.
+        gc.collect()
         dist.destroy_process_group()

@@ -109,8 +109,8 @@ def _fast(*steps: int) -> Recipe:
 
 
 SCAN_PATCH = {"patch_scale": 8.0, "n_nodes": 256, "first_normals": False}
-"""As wide as the paper's for scans, since a scanner's noise is as wide as several faces; on scans the normals before the
-first pass gain nothing.
+"""As wide as the paper's for scans, since a scanner's noise is as wide as several faces; the normals before the first
+pass gain nothing there.
 
 Choice: docs/choices.md#scan-patches."""
 
