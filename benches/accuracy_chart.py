@@ -40,9 +40,10 @@ def settings(rows: Rows, method: str) -> list[str]:
 
 def mean_error(rows: Rows, method: str) -> float:
     """Mean E_a in degrees; at the best setting per mesh, noise and level."""
+    names = settings(rows, method)
     best: dict[tuple, float] = {}
     for row in rows:
-        if row["method"] in settings(rows, method):
+        if row["method"] in names:
             case = (row["mesh"], row["noise"], row["level"])
             best[case] = min(row["e_a"], best.get(case, np.inf))
     return float(np.mean(list(best.values())))
@@ -50,7 +51,8 @@ def mean_error(rows: Rows, method: str) -> float:
 
 def seconds(rows: Rows, method: str) -> float:
     """Seconds for 100,000 faces, in the mean over meshes, levels and settings."""
-    own = [row for row in rows if row["method"] in settings(rows, method)]
+    names = settings(rows, method)
+    own = [row for row in rows if row["method"] in names]
     return 1e5 * sum(row["seconds"] for row in own) / sum(row["faces"] for row in own)
 
 

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcnd import _geom
-from gcnd.errors import GcndError
-from gcnd.formats.atomic import write_atomic, write_hint
+from gcnd.formats.atomic import write_or_tell
 from gcnd.mesh_io import MeshArrays
 from gcnd.neighbors import sum_across_edges
 from gcnd.spikes import Spikes
@@ -163,10 +162,7 @@ def write_report(path: Path, report: Any) -> None:
         GcndError: The file cannot be written.
     """
     text = json.dumps(report, indent=2, ensure_ascii=False) + "\n"
-    try:
-        write_atomic(path, text.encode())
-    except OSError as error:
-        raise GcndError(f"cannot write {path}: {error.strerror or error}", write_hint(error)) from error
+    write_or_tell(path, text.encode())
 
 
 def _volumes(before: MeshArrays, after: Points) -> dict[str, float | None]:

@@ -10,7 +10,7 @@ import torch
 from train_cases import STAGE
 
 from gcnd.errors import ConfigError
-from gcnd.nn.cascade import StageConfig
+from gcnd.nn.cascade import PatchConfig, StageConfig
 from gcnd.nn.networks import build_network
 from gcnd.train.grow import grown
 
@@ -108,3 +108,21 @@ def test_a_narrower_head_is_refused() -> None:
     wanted = replace(STAGE, network=replace(STAGE.network, head_channels=(first, last - 1)))
     with pytest.raises(ConfigError, match="another layout"):
         grown(build_network(STAGE.network).state_dict(), STAGE, wanted)
+
+
+@pytest.mark.parametrize("patch", [replace(STAGE.patch, roughness=True), STAGE.patch], ids=["more", "same"])
+def test_behind_a_spatial_transformer_nothing_grows(patch: PatchConfig) -> None:
+    given, wanted = (
+        replace(
+            STAGE,
+            network=replace(STAGE.network, architecture="transformed-nodes", in_channels=of.n_channels),
+            patch=of,
+        )
+        for of in (STAGE.patch, patch)
+    )
+    weights = build_network(given.network).state_dict()
+    if patch == STAGE.patch:
+        assert grown(weights, given, wanted).keys() == weights.keys()
+        return
+    with pytest.raises(ConfigError, match="another layout"):
+        grown(weights, given, wanted)

@@ -15,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["replacing", "write_atomic", "write_atomic_npz", "write_hint"]
+from gcnd.errors import GcndError
+
+__all__ = ["replacing", "write_atomic", "write_atomic_npz", "write_hint", "write_or_tell"]
 
 _HOST = "".join(letter if letter.isalnum() else "-" for letter in socket.gethostname())[:40]
 
@@ -102,6 +104,22 @@ def write_atomic(path: str | os.PathLike[str], data: bytes) -> None:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
+
+
+def write_or_tell(path: str | os.PathLike[str], data: bytes) -> None:
+    """Writes as `write_atomic` does; a failure says which file, why and what to do.
+
+    Args:
+        path: Where to write.
+        data: What to write.
+
+    Raises:
+        GcndError: The file cannot be written.
+    """
+    try:
+        write_atomic(path, data)
+    except OSError as error:
+        raise GcndError(f"cannot write {path}: {error.strerror or error}", write_hint(error)) from error
 
 
 def write_atomic_npz(path: str | os.PathLike[str], **arrays: Any) -> None:

@@ -23,8 +23,8 @@ _FIRST = ("trunk.static.0.center.weight", "trunk.static.0.neighbor.weight")
 def fits(given: StageConfig, wanted: StageConfig) -> bool:
     """Whether weights of one stage can start another.
 
-    Patches may be of another size and have more of `OPTIONAL_CHANNELS`, and the last hidden layer may be wider; all
-    else must be the same.
+    Patches may be of another size and have more of `OPTIONAL_CHANNELS`, and the last hidden layer may be wider, but
+    not behind a spatial transformer; all else must be the same.
     """
     patch = replace(
         given.patch,
@@ -36,11 +36,14 @@ def fits(given: StageConfig, wanted: StageConfig) -> bool:
     network = replace(given.network, in_channels=wanted.network.in_channels, head_channels=heads[1])
     if patch != wanted.patch or network != wanted.network:
         return False
-    fewer = any(getattr(given.patch, name) > getattr(wanted.patch, name) for name in OPTIONAL_CHANNELS)
-    same_channels = given.patch.n_channels == wanted.patch.n_channels
+    if any(getattr(given.patch, name) > getattr(wanted.patch, name) for name in OPTIONAL_CHANNELS):
+        return False
+    if given.network == wanted.network:
+        return True
+    same_channels = given.network.in_channels == wanted.network.in_channels
     wider = min(map(len, heads)) > 1 and heads[0][:-1] == heads[1][:-1] and heads[0][-1] < heads[1][-1]
     return (
-        not fewer
+        not network.architecture.startswith("transformed")
         and (same_channels or bool(network.static_channels))
         and (heads[0] == heads[1] or (wider and network.predicts_nodes))
     )
@@ -75,6 +78,8 @@ def grown(state: Weights, given: StageConfig, wanted: StageConfig) -> Weights:
             "the weights to start from have another layout than the recipe's networks",
             hint="start from weights of the same recipe, or leave out --start-from",
         )
+    if given.network == wanted.network:
+        return state
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         fresh = build_network(wanted.network).state_dict()

@@ -106,8 +106,12 @@ class DenoisedPool:
     def draw(self, rng: np.random.Generator) -> NoisyMesh:
         """Returns a clean shape with its denoised positions."""
         member = self.members[int(rng.integers(len(self.members)))]
-        positions = (member.vertices.astype(np.float64), member.first.astype(np.float64))
-        return NoisyMesh(self.shapes[member.shape], positions[0], member.roughness, positions[1])
+        return NoisyMesh(
+            self.shapes[member.shape],
+            member.vertices.astype(np.float64),
+            member.roughness,
+            member.first.astype(np.float64),
+        )
 
 
 def fingerprint(shape: CleanShape) -> str:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gcnd.errors import ConfigError, GcndError, MeshError
-from gcnd.formats.atomic import write_atomic, write_hint
+from gcnd.errors import ConfigError, MeshError
+from gcnd.formats.atomic import write_or_tell
 from gcnd.mesh_io import load, to_arrays
 from gcnd.same_faces import check_same_faces
 from gcnd.viewer.changes import Figures, compare_meshes
@@ -87,10 +87,7 @@ def view(
     known = None if confidence is None else _checked_confidence(confidence, len(after_mesh.faces))
     layers, figures = compare_meshes(before_mesh, after_mesh, truth_mesh, known)
     page = view_page(before_mesh, after_mesh, layers, figures, names)
-    try:
-        write_atomic(path, page.encode())
-    except OSError as error:
-        raise GcndError(f"cannot write {path}: {error.strerror or error}", write_hint(error)) from error
+    write_or_tell(path, page.encode())
     return figures
 
 
