@@ -16,9 +16,18 @@ from gcnd.data.shapes_blend import blended
 from gcnd.errors import ConfigError
 from gcnd.mesh_io import save
 from gcnd.train import corpus as corpus_module
-from gcnd.train.corpus import generated_corpus, given_shapes, paired_corpus, scanned_corpus
+from gcnd.train.corpus import (
+    FEWEST_FACES,
+    N_WARPED,
+    WARPED_WEIGHT,
+    generated_corpus,
+    given_shapes,
+    paired_corpus,
+    scanned_corpus,
+)
 from gcnd.train.recipes import OUR_PATCH, get_recipe
 from gcnd.train.run import TrainingRun
+from gcnd.train.samples import CleanShape
 from gcnd.weights import load_cascade
 
 
@@ -36,6 +45,7 @@ def test_meshes_of_a_folder_are_added_by_kind(tmp_path: Path) -> None:
     save(box, tmp_path / "other" / "c.off")
     (tmp_path / "cad" / "notes.txt").write_text("no mesh", encoding="utf-8")
     shapes = generated_corpus(RECIPE, tmp_path, tmp_path).shapes
+    shapes = [shape for shape in shapes if "warped" not in shape.name]
     assert [(s.name, s.kind) for s in shapes] == [
         ("sphere", "smooth"),
         ("cube", "cad"),
@@ -52,26 +62,56 @@ def test_meshes_of_a_folder_are_added_by_kind(tmp_path: Path) -> None:
         generated_corpus(RECIPE, tmp_path, tmp_path / "empty")
 
 
-def test_given_meshes_are_thinned_but_for_machine_parts_and_small_ones(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def given(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[CleanShape]]:
+    """What is made of a ball of each kind."""
+    folder = tmp_path_factory.mktemp("given")
+    made = {}
     for kind, subdivisions in (("smooth", 5), ("cad", 5), ("feature", 4)):
-        (tmp_path / kind).mkdir()
-        save(trimesh.creation.icosphere(subdivisions=subdivisions), tmp_path / kind / f"{kind}.ply")
-    sizes = {
-        kind: [
-            (s.name, s.kind, len(s.faces), s.draw_weight)
-            for s in given_shapes(tmp_path / kind / f"{kind}.ply")
-        ]
-        for kind in ("smooth", "cad", "feature")
-    }
-    assert sizes["smooth"] == [
+        path = folder / kind / f"{kind}.ply"
+        path.parent.mkdir()
+        save(trimesh.creation.icosphere(subdivisions=subdivisions), path)
+        made[kind] = given_shapes(path)
+        again = [shape.vertices for shape in given_shapes(path)]
+        assert all(np.array_equal(s.vertices, v) for s, v in zip(made[kind], again, strict=True))
+    return made
+
+
+def test_given_meshes_are_thinned_but_for_machine_parts_and_small_ones(
+    given: dict[str, list[CleanShape]],
+) -> None:
+    sizes = [(s.name, s.kind, len(s.faces), s.draw_weight) for s in given["smooth"][:3]]
+    assert sizes == [
         ("smooth", "smooth", 20480, 4.0),
         ("smooth, 1/2 of the faces", "smooth", 10240, 4.0),
         ("smooth, 1/4 of the faces", "smooth", 5120, 4.0),
     ]
-    assert [s[2] for s in sizes["cad"]] == [20480]
-    assert [s[2] for s in sizes["feature"]] == [5120]
-    thinned = given_shapes(tmp_path / "smooth" / "smooth.ply")[2]
-    assert np.abs(np.linalg.norm(thinned.vertices, axis=1) - 1).max() < 0.01
+    assert {len(s.faces) for s in given["cad"]} == {20480}
+    assert [len(s.faces) for s in given["feature"][:-N_WARPED]] == [5120]
+    assert np.abs(np.linalg.norm(given["smooth"][2].vertices, axis=1) - 1).max() < 0.01
+
+
+def quadric_misfit(shape: CleanShape) -> float:
+    """How far a shape is from any ellipsoid: the largest error of the quadric through its vertices."""
+    x, y, z = shape.vertices.T
+    terms = np.stack([x * x, y * y, z * z, x * y, y * z, z * x, x, y, z], axis=1)
+    ones = np.ones(len(terms))
+    return float(np.abs(terms @ np.linalg.lstsq(terms, ones)[0] - ones).max())
+
+
+def test_given_meshes_come_stretched_and_bent_besides(given: dict[str, list[CleanShape]]) -> None:
+    for kind, shapes in given.items():
+        warped = shapes[-N_WARPED:]
+        assert [s.name for s in warped] == [f"{kind}, warped {n}" for n in range(1, N_WARPED + 1)]
+        assert {(s.kind, s.draw_weight) for s in warped} == {(kind, WARPED_WEIGHT)}
+        assert len(shapes) == (3 if kind == "smooth" else 1) + N_WARPED
+        for shape in warped:
+            assert quadric_misfit(shape) < 1e-5 if kind == "cad" else quadric_misfit(shape) > 1e-3
+            assert trimesh.Trimesh(shape.vertices, shape.faces, process=False).volume > 0
+    counts = {len(s.faces) for s in given["smooth"][-N_WARPED:]}
+    assert len(counts) > 1
+    assert min(counts) >= FEWEST_FACES
+    assert max(counts) < 20480
 
 
 def write_dataset(folder: Path) -> None:

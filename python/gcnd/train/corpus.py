@@ -10,6 +10,7 @@ import numpy as np
 from gcnd.data.folders import find_meshes
 from gcnd.data.generated import load_generated
 from gcnd.data.pairs import PairFiles, list_pairs, load_pair
+from gcnd.data.shapes_warp import bent, stretched
 from gcnd.errors import ConfigError
 from gcnd.mesh_io import load, to_arrays
 from gcnd.scans import SCAN_KINDS
@@ -44,6 +45,15 @@ BLEND_WIDTHS = (0.5, 0.8, 1.2, 1.8)
 FEWEST_FACES = 4000
 """A given mesh is thinned out to no fewer."""
 
+N_WARPED = 4
+"""Stretched and bent forms of every given mesh."""
+
+WARPED_WEIGHT = 2.0
+"""Each is drawn as often as this many generated ones of its kind."""
+
+MOST_THINNED = 6.0
+"""A stretched and bent form has a share of the faces between 1 / 6 and all of them."""
+
 
 SCANS_BETWEEN_LINES = 20
 
@@ -67,8 +77,8 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
     """Makes or reads the procedural shapes of a recipe, adds the meshes of a folder, and draws noise for them.
 
     Subfolders of ``mesh_folder`` named cad, smooth or feature give their meshes that kind; others are "feature". Meshes
-    that are no machine parts are also learned from with fewer triangles, generated machine parts also with their edges
-    blended.
+    that are no machine parts are also learned from with fewer triangles, all of them also stretched and bent (see
+    `given_shapes`), generated machine parts also with their edges blended.
 
     Args:
         recipe: Says how many shapes, and from which seed on.
@@ -127,29 +137,45 @@ def _shapes_of_folder(folder: Path | None) -> list[CleanShape]:
 
 
 def given_shapes(path: Path) -> list[CleanShape]:
-    """Reads a clean mesh of the user's and thins it out by quadrics, to a half and to a quarter of its faces.
+    """Reads a clean mesh of the user's and makes more of it: thinned out by quadrics, stretched and bent.
 
-    The same body with detail at the size of fewer triangles, as most published scans have it. Machine parts, whose
-    planes would be left with a few slivers, and meshes that would be left with too few faces stay as they are.
+    The same body with detail at the size of fewer triangles, as most published scans have it: with a half and a quarter
+    of its faces as it is, and with a drawn share of them stretched and bent. Machine parts are stretched only, since
+    their planes would be bent, and left with a few slivers; no mesh is left with too few faces. What is drawn depends
+    on the file's name alone.
 
     Raises:
         MeshError: The mesh cannot be read.
 
     Choice: docs/choices.md#training-shapes.
     """
-    from gcnd.data.shapes_decimate import decimated
-
     arrays, _ = to_arrays(load(path))
     kind = path.parent.name if path.parent.name in ("cad", "smooth", "feature") else "feature"
     mesh, _ = arrays.welded()
-    shapes = [CleanShape(path.stem, kind, mesh.vertices, mesh.faces, draw_weight=MESH_WEIGHT)]
+    whole = CleanShape(path.stem, kind, mesh.vertices, mesh.faces, draw_weight=MESH_WEIGHT)
+    shapes = [whole]
     for divisor in () if kind == "cad" else (2, 4):
-        n_faces = len(mesh.faces) / divisor
-        if n_faces >= FEWEST_FACES:
-            vertices, faces = decimated(mesh.vertices, mesh.faces, n_faces)
-            name = f"{path.stem}, 1/{divisor} of the faces"
-            shapes.append(CleanShape(name, kind, vertices, faces, draw_weight=MESH_WEIGHT))
-    return shapes
+        if len(mesh.faces) / divisor >= FEWEST_FACES:
+            shapes.append(_thinned(whole, f"{path.stem}, 1/{divisor} of the faces", divisor))
+    rng = np.random.default_rng(list(path.stem.encode()))
+    return shapes + [_warped(whole, number, rng) for number in range(1, N_WARPED + 1)]
+
+
+def _thinned(shape: CleanShape, name: str, divisor: float) -> CleanShape:
+    from gcnd.data.shapes_decimate import decimated
+
+    vertices, faces = decimated(shape.vertices, shape.faces, len(shape.faces) / divisor)
+    return CleanShape(name, shape.kind, vertices, faces, shape.draw_weight)
+
+
+def _warped(shape: CleanShape, number: int, rng: np.random.Generator) -> CleanShape:
+    """A stretched form, of what is no machine part bent besides and thinned out by a drawn divisor."""
+    name = f"{shape.name}, warped {number}"
+    vertices, divisor = stretched(shape.vertices, rng), MOST_THINNED ** rng.uniform()
+    if shape.kind == "cad":
+        return CleanShape(name, shape.kind, vertices, shape.faces, WARPED_WEIGHT)
+    form = CleanShape(name, shape.kind, bent(vertices, rng), shape.faces, WARPED_WEIGHT)
+    return _thinned(form, name, divisor) if len(shape.faces) / divisor >= FEWEST_FACES else form
 
 
 def scanned_corpus(
