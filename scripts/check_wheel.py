@@ -33,6 +33,7 @@ WITHOUT_TORCH = (
     "safetensors>=0.4.5",
     "typer>=0.15",
     "rich>=13",
+    "filelock>=3.12",
 )
 LICENCES = ("LICENSE-MIT", "LICENSE-APACHE", "THIRD-PARTY-LICENSES", "python/gcnd/viewer/three/LICENSE")
 COMPILED = ("gcnd/_geom.abi3.so", "gcnd/_geom.pyd")

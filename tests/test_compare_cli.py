@@ -106,6 +106,7 @@ def test_bad_input_is_told_without_a_traceback(tmp_path: Path, capsys: pytest.Ca
         assert message in printed.err
         assert hint in printed.err
         assert "Traceback" not in printed.err
+        assert not out.exists()
 
 
 def test_missing_libraries_are_skipped_with_a_line(

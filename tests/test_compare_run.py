@@ -20,7 +20,7 @@ from gcnd.compare.child import Outcome, run_in_child
 from gcnd.compare.measures import measure
 from gcnd.compare.methods import Method, parse_methods
 from gcnd.compare.rows import INPUT
-from gcnd.compare.run import Conditions, available_threads, compare, load_result, make_output_folder
+from gcnd.compare.run import Conditions, available_threads, check_output_folder, compare, load_result
 from gcnd.errors import ConfigError
 from gcnd.filters import apply_filter
 
@@ -38,7 +38,7 @@ def children_find_the_methods(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
     folder = tmp_path / "deep" / "report"
-    make_output_folder(folder)
+    folder.mkdir(parents=True)
     return folder
 
 
@@ -229,8 +229,10 @@ def test_conditions_and_folders_out_of_range_are_told(tmp_path: Path) -> None:
         (lambda: Conditions(threads=available_threads() + 1), "threads is"),
         (lambda: Conditions(threads=1, timeout=0), "timeout is 0, allowed"),
         (lambda: Conditions(threads=1, samples=0), "samples is 0, allowed"),
-        (lambda: make_output_folder(tmp_path / "file"), "is a file, not a folder"),
-        (lambda: make_output_folder(tmp_path / "file" / "below"), "cannot make"),
+        (lambda: check_output_folder(tmp_path / "file"), "is a file, not a folder"),
+        (lambda: check_output_folder(tmp_path / "file" / "below"), "cannot make"),
     ):
         with pytest.raises(ConfigError, match=message):
             make()
+    check_output_folder(tmp_path / "not" / "there" / "yet")
+    assert not (tmp_path / "not").exists()

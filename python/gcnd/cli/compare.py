@@ -72,14 +72,15 @@ def run(
     from gcnd.compare.finish import finish
     from gcnd.compare.methods import available, parse_methods
     from gcnd.compare.report import check_report_libraries
-    from gcnd.compare.run import Conditions, available_threads, compare, make_output_folder
+    from gcnd.compare.run import Conditions, available_threads, check_output_folder, compare
+    from gcnd.formats.lock import only_writer
 
     wanted = parse_methods(methods or ["presets,classical"])
     plan = NoisePlan(_words(noise), _numbers(levels), fraction, seed)
     processors = available_threads() if threads is None else threads
     conditions = Conditions(processors, timeout, samples, retry_failed)
     check_report_libraries()
-    make_output_folder(out)
+    check_output_folder(out)
     cases = collect_cases(dataset, plan, n_shapes=shapes, shape_folder=out / "shapes", split=split.value)
     usable, skipped = available(wanted)
     if not usable:
@@ -88,7 +89,7 @@ def run(
         print(line, file=sys.stderr)
     options = {"dataset": dataset, **asdict(conditions), **asdict(plan)}
     try:
-        with show_progress(quiet=quiet) as progress:
+        with only_writer(out), show_progress(quiet=quiet) as progress:
             rows = compare(cases, usable, out, conditions, progress=progress)
             lines = finish(
                 out, options, cases, usable, rows, skipped=skipped, pictures=pictures.value, progress=progress

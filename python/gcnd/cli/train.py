@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -88,21 +89,23 @@ def run(
 def _train(
     folder: Path, recipe: Recipe, make_corpus: Callable[[], Corpus], start_from: str | None, device: str
 ) -> None:
-    from gcnd.nn.distributed import first_process_first
+    from gcnd.formats.lock import only_writer
+    from gcnd.nn.distributed import first_process_first, process_rank
     from gcnd.train.run import TrainingRun
 
-    with first_process_first():
-        corpus = make_corpus()
-    training = TrainingRun(
-        folder,
-        recipe,
-        corpus,
-        start_from=start_from,
-        device=device,
-        on_step=_LineWriter(),
-        on_event=_say,
-    )
-    weights = training.run()
+    with only_writer(folder) if process_rank() == 0 else nullcontext():
+        with first_process_first():
+            corpus = make_corpus()
+        training = TrainingRun(
+            folder,
+            recipe,
+            corpus,
+            start_from=start_from,
+            device=device,
+            on_step=_LineWriter(),
+            on_event=_say,
+        )
+        weights = training.run()
     if training.is_first:
         print(weights)
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from gcnd.compare.cases import Case, CaseMesh
     from gcnd.compare.methods import Method
 
-__all__ = ["Conditions", "available_threads", "compare", "load_result", "make_output_folder"]
+__all__ = ["Conditions", "available_threads", "check_output_folder", "compare", "load_result"]
 
 
 @dataclass(frozen=True)
@@ -61,20 +61,24 @@ def available_threads() -> int:
     return os.cpu_count() or 1
 
 
-def make_output_folder(out: Path) -> None:
-    """Makes the folder that a comparison writes to.
+def check_output_folder(out: Path) -> None:
+    """Checks that a comparison can write to a folder, which need not be there yet; nothing is made.
 
     Raises:
         ConfigError: It is a file, or cannot be made or written to.
     """
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out} is a file, not a folder", hint="give --out a new name or a folder")
-    try:
-        (out / "results").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"cannot make {out}: {error.strerror}", hint="choose another --out") from error
-    if not os.access(out, os.W_OK | os.X_OK):
-        raise ConfigError(f"cannot write to {out}", hint="choose another --out")
+    nearest = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not nearest.is_dir():
+        raise ConfigError(f"cannot make {out}: {nearest} is a file", hint="choose another --out")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        what = (
+            f"cannot write to {out}"
+            if nearest == out
+            else f"cannot make {out}: {nearest} cannot be written to"
+        )
+        raise ConfigError(what, hint="choose another --out")
 
 
 def compare(
@@ -90,7 +94,7 @@ def compare(
     Args:
         cases: What is denoised.
         methods: What denoises it.
-        out: Folder for ``rows.jsonl`` and for the results; made by `make_output_folder`.
+        out: Folder for ``rows.jsonl`` and for the results; made if missing.
         conditions: The same for all.
         progress: Called before each run with (fraction done, what runs); what it raises stops the comparison, and the
             rows that are finished stay.
@@ -104,6 +108,7 @@ def compare(
     Example:
         >>> rows = compare(cases, methods, Path("report"), Conditions(threads=2))  # doctest: +SKIP
     """
+    (out / "results").mkdir(parents=True, exist_ok=True)
     kept = RowFile(out / "rows.jsonl")
     rows = []
     total = len(cases) * len(methods)
