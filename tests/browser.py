@@ -100,6 +100,20 @@ class Browser:
             time.sleep(0.05)
         self.settle()
 
+    def read(self, page: Path, width: int, height: int = 800) -> None:
+        """Opens a page of this size that draws nothing."""
+        self.events.clear()
+        self.resize(width, height)
+        self.call("Page.navigate", url=page.resolve().as_uri())
+        deadline = time.monotonic() + PATIENCE
+        while (
+            self.evaluate("[location.href, document.readyState].join()")
+            != f"{page.resolve().as_uri()},complete"
+        ):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"nothing was read in {PATIENCE} s")
+            time.sleep(0.05)
+
     def resize(self, width: int, height: int) -> None:
         """Gives the window another size."""
         self.call(

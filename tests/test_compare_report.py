@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from browser import find_browser, running_browser
 from compare_cases import ball, case, method, moved
 from gcnd import _geom
 from gcnd.compare.finish import finish
@@ -190,3 +191,19 @@ def test_what_is_written_and_that_the_page_stands_alone(tmp_path: Path) -> None:
     assert "went &lt;wrong&gt;" in page
     assert "skipped x: not there" in page
     assert not [path.name for path in tmp_path.iterdir() if path.name.endswith(".tmp")]
+
+
+@pytest.mark.skipif(find_browser() is None, reason="no Chromium is installed, and GCND_BROWSER names none")
+def test_tables_scroll_where_the_screen_is_narrow(tmp_path: Path) -> None:
+    (tmp_path / "results").mkdir()
+    cases = [case("a", 0.1, "cad"), case("b", 0.1, "smooth")]
+    finish(tmp_path, {"dataset": "d", "threads": 1}, cases, [method(moved, by=0.5)], ROWS, skipped=[])
+    executable = find_browser()
+    assert executable
+    with running_browser(executable, tmp_path / "profile") as browser:
+        for width in (360, 1280):
+            browser.read(tmp_path / "report.html", width)
+            wide = browser.evaluate("document.documentElement.scrollWidth")
+            table = browser.evaluate("document.querySelector('table').scrollWidth")
+            assert wide <= width
+            assert table > 360

@@ -15,7 +15,8 @@ __all__ = ["STYLE", "data_uri", "html_page", "inline_svg"]
 
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
-table { border-collapse: collapse } td, th { padding: .2rem .8rem; text-align: right; border-bottom: 1px solid #ddd }
+table { border-collapse: collapse; display: block; overflow-x: auto; max-width: 100% }
+td, th { padding: .2rem .8rem; text-align: right; border-bottom: 1px solid #ddd }
 img, svg { max-width: 100%; height: auto } h2 { margin-top: 2.5rem }
 """
 
