@@ -246,6 +246,18 @@ def test_vertex_updating(case: Case, iterations: int) -> None:
     assert np.abs(got - case.vertices).max() > 0.01
 
 
+def test_keeping_detail(case: Case) -> None:
+    rng = np.random.default_rng(5)
+    steps = rng.normal(size=(len(case.vertices), 3)) * 0.002
+    bump = np.exp(-20 * np.square(case.clean - case.clean[7]).sum(axis=1))
+    moved = case.vertices + steps + 0.05 * bump[:, None]
+    got = _geom.keep_detail(case.topology, case.vertices, moved)
+    want = filters.keep_detail(case.vertices, case.faces, moved)
+    np.testing.assert_allclose(got, want, rtol=0, atol=1e-12)
+    assert np.abs(got - moved).max() > 0.01
+    assert np.abs(got - case.vertices).max() > 0.001
+
+
 def test_angles(case: Case) -> None:
     truth = _geom.face_geometry(case.clean, case.faces.astype(np.uint32))[0]
     angles = _geom.normal_angles(own_normals(case), truth)

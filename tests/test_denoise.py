@@ -125,6 +125,21 @@ def test_a_path_gives_a_trimesh(tmp_path: Path, preset: str, result: NDArray[np.
     assert path.read_bytes() == content
 
 
+@pytest.mark.parametrize("keeps", [False, True])
+def test_detail_comes_back_where_the_weights_say_so(keeps: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = denoise_arrays(VERTICES, FACES, random_cascade())
+    given: list[Arrays] = []
+
+    def half_way(_: _geom.Topology, before: Any, after: Any) -> Any:
+        given.append((before, after))
+        return (before + after) / 2
+
+    monkeypatch.setattr(_geom, "keep_detail", half_way)
+    moved = denoise_arrays(VERTICES, FACES, random_cascade(replace(CONFIG, keep_detail=keeps)))
+    assert len(given) == keeps
+    np.testing.assert_allclose(moved, (plain + VERTICES) / 2 if keeps else plain, rtol=0, atol=1e-12)
+
+
 # --- determinism -------------------------------------------------------------------------------------
 
 

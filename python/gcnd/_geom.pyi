@@ -303,6 +303,9 @@ def hc_laplacian(
 ) -> Points:
     """Averages of positions, pushed back (Vollmer et al. 1999, Sec. 3)."""
 
+def keep_detail(topology: Topology, before: Points, after: Points) -> Points:
+    """Detail that was taken away with weak noise, back: positions (V, 3), mesh units."""
+
 def normal_angles(result: Points, truth: Points) -> NDArray[np.float64]:
     """Degrees (F,) between normals; NaN where the truth is zero, 90 where only the result is."""
 

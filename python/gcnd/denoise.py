@@ -229,6 +229,8 @@ def clean_arrays(
         vertices = _geom.update_vertices(
             topology, vertices, normals, vertex_iterations, boundary, progress=stages.ask
         )
+    if cascade.config.keep_detail:
+        vertices = _geom.keep_detail(topology, start.positions, vertices)
     overlaps = passes[-1][0].coverage is not None
     confidence = agreement(topology, prediction.spread) if overlaps else None
     return Cleaned(start.way_back(vertices), confidence)

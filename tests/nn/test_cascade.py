@@ -22,6 +22,7 @@ CONFIG = CascadeConfig(
     ),
     RefinementConfig(4, 0.15, 1.5),
     vertex_iterations=9,
+    keep_detail=True,
 )
 
 
@@ -64,6 +65,15 @@ def test_a_stage_without_a_field_is_refused(field: str) -> None:
     del values[field]
     with pytest.raises(ConfigError, match=field):
         StageConfig.from_dict(values)
+
+
+def test_weights_from_before_keep_no_detail() -> None:
+    values = CONFIG.to_dict()
+    del values["keep_detail"]
+    assert CascadeConfig.from_dict(values) == replace(CONFIG, keep_detail=False)
+    values["keep_detail"] = 1
+    with pytest.raises(ConfigError, match="keep_detail is 1, allowed: True or False"):
+        CascadeConfig.from_dict(values)
 
 
 @pytest.mark.parametrize("field", ["stages", "refinement", "vertex_iterations"])

@@ -86,6 +86,43 @@ def update_vertices(vertices: Floats, faces: Ints, normals: Floats, iterations: 
     return current
 
 
+def keep_detail(vertices: Floats, faces: Ints, moved: Floats) -> Floats:
+    """Steps back where they are larger than elsewhere and alike from vertex to vertex, a vertex at a time."""
+    lengths = [np.linalg.norm(vertices[f[k]] - vertices[f[k - 1]]) for f in edges_once(faces) for k in (1,)]
+    steps = (moved - vertices) / np.mean(lengths)
+    around: list[list[int]] = [[] for _ in vertices]
+    for number, face in enumerate(faces):
+        for i in face:
+            around[i].append(number)
+    pairs = ((0, 1), (1, 2), (2, 0))
+    of_faces = [
+        (
+            sum(steps[f[i]] @ steps[f[j]] for i, j in pairs) / 3,
+            sum(steps[i] @ steps[i] for i in f) / 3,
+        )
+        for f in faces
+    ]
+    means, sizes = np.array(of_faces), np.zeros(0)
+    for rounds in range(49):
+        of_vertices = np.array([means[a].mean(axis=0) if a else np.zeros(2) for a in around])
+        if rounds == 16:
+            sizes = of_vertices[:, 1]
+        means = np.array([of_vertices[f].mean(axis=0) for f in faces])
+    ordered = sorted(sizes[[bool(a) for a in around]])
+    noise = ordered[int((len(ordered) - 1) * 0.05)]
+    kept = moved.copy()
+    for i, (product, square) in enumerate(of_vertices):
+        even = min(1.0, 2 * noise / sizes[i]) ** 2 if sizes[i] > 0 else 1.0
+        t = min(1.0, max(0.0, ((product / square if square > 0 else 0.0) - 0.04) / 0.08))
+        kept[i] = vertices[i] + max(even, 1 - t * t * (3 - 2 * t)) * (moved[i] - vertices[i])
+    return kept
+
+
+def edges_once(faces: Ints) -> list[tuple[int, int]]:
+    """Every edge of the faces, its ends in rising order."""
+    return sorted({(min(f[k - 1], f[k]), max(f[k - 1], f[k])) for f in faces for k in range(3)})
+
+
 def average_of_centroids(vertices: Floats, faces: Ints) -> Floats:
     """Every vertex at the mean of the centroids of its faces, one face after the other."""
     total, count = np.zeros_like(vertices), np.zeros(len(vertices))

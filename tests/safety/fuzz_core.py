@@ -203,6 +203,20 @@ def vertex_update(rng: Rng, _: Path) -> bool:
     return True
 
 
+def detail(rng: Rng, _: Path) -> bool:
+    vertices, faces = wild.mesh(rng)
+    moved = vertices + rng.normal(size=vertices.shape) * 10.0 ** rng.uniform(-6, 2)
+    with refusals(*CORE_REFUSALS):
+        found = _geom.keep_detail(topology_of(vertices, faces), vertices, moved)
+    assert found.shape == vertices.shape
+    if np.isfinite(vertices).all() and np.abs(vertices).max() < 1e100:
+        finite(found)
+        low, high = np.minimum(vertices, moved), np.maximum(vertices, moved)
+        slack = 1e-12 * (1 + np.abs(high) + np.abs(low))
+        assert np.all((found >= low - slack) & (found <= high + slack))
+    return True
+
+
 def measures(rng: Rng, _: Path) -> bool:
     vertices, faces = wild.mesh(rng)
     other, others = (vertices + 0.1, faces) if rng.random() < 0.5 else wild.mesh(rng)

@@ -16,6 +16,7 @@
 //! | the network's CPU kernels | [`kernels`] | Sec. 5.1, Eq. 4 |
 //! | normal refinement | [`normals`] | Sec. 6.1, Eq. 5 |
 //! | vertex updating | [`vertex_update`] | Sec. 6.2, Eq. 6 |
+//! | detail under weak noise | [`keep_detail`] | – |
 //! | E_a, E_v | [`metrics`] | Sec. 7.2, Eqs. 7–8 |
 //!
 //! The classical filters, which need no network, are in [`normals`] and [`smoothing`]; [`watch`] reports how far they
@@ -30,6 +31,7 @@ pub mod error;
 pub mod face_geometry;
 #[doc(hidden)]
 pub mod fixtures;
+pub mod keep_detail;
 pub mod kernels;
 pub mod mesh;
 pub mod metrics;

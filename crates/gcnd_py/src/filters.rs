@@ -104,6 +104,19 @@ pub fn update_vertices<'py>(
 }
 
 #[pyfunction]
+pub fn keep_detail<'py>(
+    py: Python<'py>,
+    topology: &PyTopology,
+    before: Points<'py>,
+    after: Points<'py>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let (before, after) = (arrays::points("before", &before)?, arrays::points("after", &after)?);
+    let kept =
+        py.detach(|| gcnd_geom::keep_detail::keep_detail(&topology.inner, before, after)).into_python()?;
+    arrays::triples(py, kept)
+}
+
+#[pyfunction]
 pub fn normal_angles<'py>(
     py: Python<'py>,
     result: Points<'py>,

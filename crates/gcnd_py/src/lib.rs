@@ -21,8 +21,8 @@ mod _geom {
     };
     #[pymodule_export]
     use super::filters::{
-        mean_edge_length, normal_angles, refine_consistent, refine_normals, remesh, update_vertices,
-        vertex_error,
+        keep_detail, mean_edge_length, normal_angles, refine_consistent, refine_normals, remesh,
+        update_vertices, vertex_error,
     };
     #[pymodule_export]
     use super::kernels::{

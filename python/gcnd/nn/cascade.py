@@ -167,14 +167,18 @@ class CascadeConfig:
         stages: In the order in which they run.
         refinement: Of the last stage's normals.
         vertex_iterations: Iterations of Eq. 6 after every pass.
+        keep_detail: Whether detail that was taken away with weak noise comes back; see ``_geom.keep_detail``.
     """
 
     stages: tuple[StageConfig, ...]
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     vertex_iterations: int = VERTEX_ITERATIONS
+    keep_detail: bool = False
 
     def __post_init__(self) -> None:
         check_whole("vertex_iterations", self.vertex_iterations, 0, MOST_ITERATIONS)
+        if not isinstance(self.keep_detail, bool):
+            raise ConfigError(f"keep_detail is {self.keep_detail!r}, allowed: True or False")
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the configuration as JSON-ready values."""
@@ -188,6 +192,7 @@ class CascadeConfig:
                 stages=tuple(StageConfig.from_dict(stage) for stage in values["stages"]),
                 refinement=RefinementConfig(**values["refinement"]),
                 vertex_iterations=values["vertex_iterations"],
+                keep_detail=values.get("keep_detail", False),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"cascade configuration does not fit: {error}") from error
@@ -217,10 +222,11 @@ class Cascade(nn.Module):
         stages: list[tuple[StageConfig, nn.Module]],
         refinement: RefinementConfig,
         vertex_iterations: int = VERTEX_ITERATIONS,
+        keep_detail: bool = False,
     ) -> Cascade:
         """Makes a cascade with a copy of the weights of networks that were trained one after the other."""
         configs = tuple(config for config, _ in stages)
-        cascade = cls(CascadeConfig(configs, refinement, vertex_iterations))
+        cascade = cls(CascadeConfig(configs, refinement, vertex_iterations, keep_detail))
         for own, (_, network) in zip(cascade.stages, stages, strict=True):
             own.load_state_dict(network.state_dict())
         return cascade

@@ -46,6 +46,7 @@ class Recipe:
         data: What is learned from: vertex noise on the shapes, or simulated scans of them.
         n_scans: Simulated scans.
         vertex_iterations: Of Eq. 6 after every pass.
+        keep_detail: Whether detail that was taken away with weak noise comes back.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Recipe:
     data: Literal["noise", "scans"] = "noise"
     n_scans: int = 0
     vertex_iterations: int = VERTEX_ITERATIONS
+    keep_detail: bool = False
 
 
 REFINE_WHERE_CONSISTENT = RefinementConfig(iterations=12, sigma_r=0.15, tolerance=3.0, largest_spread=0.03)
@@ -89,6 +91,7 @@ def _default(*steps: int) -> Recipe:
         ),
         pool_size=400,
         refinement=REFINE_WHERE_CONSISTENT,
+        keep_detail=True,
     )
 
 
@@ -105,6 +108,7 @@ def _fast(*steps: int) -> Recipe:
         ),
         pool_size=400,
         refinement=replace(REFINE_WHERE_CONSISTENT, iterations=4),
+        keep_detail=True,
     )
 
 
@@ -142,6 +146,7 @@ def _scan(*steps: int) -> Recipe:
         pool_size=160,
         refinement=replace(REFINE_WHERE_CONSISTENT, iterations=4, sigma_r=0.2),
         vertex_iterations=SCAN_VERTEX_ITERATIONS,
+        keep_detail=False,
     )
 
 

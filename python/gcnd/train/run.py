@@ -97,7 +97,8 @@ class TrainingRun:
             network: nn.Module = build_network(config.stage.network).to(self.device)
             network.load_state_dict(load_tensors(path)[0])
             trained.append((config.stage, network.eval()))
-        cascade = Cascade.assembled(trained, self.recipe.refinement, self.recipe.vertex_iterations)
+        recipe = self.recipe
+        cascade = Cascade.assembled(trained, recipe.refinement, recipe.vertex_iterations, recipe.keep_detail)
         out = self.folder / f"{self.recipe.name}.safetensors"
         if self.is_first:
             save_cascade(out, cascade, {"recipe": self.recipe.name})
