@@ -39,6 +39,7 @@ pub mod normals;
 pub mod orientation;
 pub mod patch;
 pub mod remesh;
+pub(crate) mod rim;
 pub mod smoothing;
 pub mod spikes;
 pub mod topology;

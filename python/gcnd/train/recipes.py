@@ -74,8 +74,12 @@ OUR_LATER_PATCH = replace(OUR_PATCH, first_normals=True)
 
 
 def _later(network: NetworkConfig) -> NetworkConfig:
-    """The same network for `OUR_LATER_PATCH`."""
-    return replace(network, in_channels=OUR_LATER_PATCH.n_channels)
+    """The same network for `OUR_LATER_PATCH`, with the last hidden layer four times as wide.
+
+    Choice: docs/choices.md#node-head.
+    """
+    *heads, last = network.head_channels
+    return replace(network, in_channels=OUR_LATER_PATCH.n_channels, head_channels=(*heads, 4 * last))
 
 
 def _default(*steps: int) -> Recipe:
@@ -181,8 +185,8 @@ def _paper_scan(*steps: int) -> Recipe:
 
 
 RECIPES = {
-    "default": _default(38_000, 54_500),
-    "fast": _fast(13_500, 16_000),
+    "default": _default(38_000, 71_500),
+    "fast": _fast(13_500, 28_000),
     "paper": _paper(450_000, 300_000),
     "scan": _scan(8_000, 8_000),
     "paper-scan": _paper_scan(450_000, 300_000),

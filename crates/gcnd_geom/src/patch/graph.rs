@@ -2,6 +2,7 @@
 
 use super::id_slots::{IdSlots, NO_SLOT};
 use super::roughness::roughness_channel;
+use super::scale_space::{N_SCALES, ScaleNormals};
 use super::select::Candidate;
 use super::voting::LocalFace;
 use crate::topology::Topology;
@@ -21,9 +22,9 @@ pub(crate) struct PatchView<'a> {
     pub(crate) vertices: &'a [DVec3],
     pub(crate) centroids: &'a [DVec3],
     /// Normals at several scales, empty where nodes do not carry them.
-    pub(crate) scale_space: &'a [[DVec3; 3]],
+    pub(crate) scale_space: &'a [ScaleNormals],
     /// The same of the mesh before its first pass.
-    pub(crate) first_normals: &'a [[DVec3; 3]],
+    pub(crate) first_normals: &'a [ScaleNormals],
     /// Of the whole mesh in mesh units, empty where nodes do not carry it.
     pub(crate) roughness: &'a [f64],
     /// ā in mesh units.
@@ -91,7 +92,7 @@ fn write_features(view: &PatchView<'_>, face_id: u32, local: &LocalFace, feature
         *channel = roughness_channel(value, view.mean_area);
     }
     let at_scales = [view.scale_space, view.first_normals].map(|normals| normals.get(face_id as usize));
-    let n_scaled = 9 * at_scales.iter().flatten().count();
+    let n_scaled = 3 * N_SCALES * at_scales.iter().flatten().count();
     let (offsets, normals) = rest.split_at_mut(rest.len() - n_scaled);
     if !offsets.is_empty() {
         for (offset, out) in vertex_offsets(view, face_id).into_iter().zip(offsets.chunks_exact_mut(3)) {

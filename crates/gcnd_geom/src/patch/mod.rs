@@ -44,7 +44,7 @@ use crate::watch::{Ticks, Watch};
 use glam::{DMat3, DVec3};
 use graph::{PatchRow, PatchView, write_graph};
 use rayon::prelude::*;
-use scale_space::{FIRST_SCALES, SCALES, scale_space_normals};
+use scale_space::{FIRST_SCALES, SCALES, ScaleNormals, scale_space_normals};
 use select::{PatchScale, SelectScratch, VertexTree};
 use symmetric_eigen::Symmetric3;
 use voting::LocalFace;
@@ -79,9 +79,9 @@ pub struct PatchExtractor<'a> {
     geometry: FaceGeometry,
     tree: VertexTree,
     /// Normals of every face at several scales; empty without them.
-    scale_space: Vec<[DVec3; 3]>,
+    scale_space: Vec<ScaleNormals>,
     /// The same of the mesh before its first pass.
-    first_normals: Vec<[DVec3; 3]>,
+    first_normals: Vec<ScaleNormals>,
     params: PatchParams,
 }
 

@@ -7,11 +7,20 @@ use crate::watch::Ticks;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Iterations after which the normals are taken.
-pub(crate) const SCALES: [usize; 3] = [1, 4, 16];
+/// How many scales a face's normals are taken at.
+pub(crate) const N_SCALES: usize = 3;
+
+/// Iterations after which normals are taken, in rising order.
+pub(crate) type Scales = [usize; N_SCALES];
+
+/// A face's normals, one a scale.
+pub(crate) type ScaleNormals = [DVec3; N_SCALES];
+
+/// Of the mesh as it is.
+pub(crate) const SCALES: Scales = [1, 4, 16];
 
 /// The same for the mesh before its first pass, its normals as they are among them.
-pub(crate) const FIRST_SCALES: [usize; 3] = [0, 1, 4];
+pub(crate) const FIRST_SCALES: Scales = [0, 1, 4];
 
 /// A smoothed face with a smaller part of its area than this has shrunk to rounding errors.
 const SMALLEST_AREA: f64 = 1e-12;
@@ -30,10 +39,10 @@ const CHUNK: usize = 4096;
 pub(crate) fn scale_space_normals(
     topology: &Topology,
     vertices: &[DVec3],
-    scales: [usize; 3],
+    scales: Scales,
     ticks: &mut Ticks<'_, '_>,
-) -> Result<Vec<[DVec3; 3]>> {
-    let mut normals = vec![[DVec3::ZERO; 3]; topology.n_faces()];
+) -> Result<Vec<ScaleNormals>> {
+    let mut normals = vec![[DVec3::ZERO; N_SCALES]; topology.n_faces()];
     let mut centroids = vec![DVec3::ZERO; topology.n_faces()];
     let mut current = vertices.to_vec();
     let mut next = current.clone();
