@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -128,11 +129,62 @@ def test_missing_libraries_are_skipped_with_a_line(
 
 def test_failures_are_told_with_their_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data, out = write_meshes(tmp_path / "data", "a.ply", "b.ply"), tmp_path / "out"
-    methods = ["--methods", "taubin[mu=-0.1],laplacian"]
+    methods = ["--methods", "taubin[lambda=1,mu=-2,iterations=99],laplacian"]
     assert main(["compare", str(data), "--out", str(out), *QUICK, "--quiet", *methods]) == 0
     printed = capsys.readouterr()
-    assert printed.err == (
-        "failed: taubin[mu=-0.1], a, gaussian 0.2 and 1 more: "
-        "ConfigError: mu is -0.1, allowed: -2 or more and below -lambda\n"
+    assert re.fullmatch(
+        r"failed: taubin\[lambda=1,mu=-2,iterations=99\], a, gaussian 0.2 and 1 more: "
+        r"GcndError: the filter diverged in iteration \d+; the input is unchanged\n",
+        printed.err,
     )
     assert "0/2" in printed.out
+
+
+def test_settings_out_of_range_are_told_before_any_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, out = write_meshes(tmp_path / "data", "a.ply"), tmp_path / "out"
+    for methods, message in (
+        ("taubin[lambda=2]", "lambda"),
+        ("laplacian[lambda=nan]", "lambda is nan, allowed: a number"),
+        ("trimesh:humphrey[alpha=inf]", "alpha is inf, allowed: a number"),
+        ("laplacian[lambda=0.5,lambda=0.2]", "laplacian is given lambda twice"),
+    ):
+        assert main(["compare", str(data), "--out", str(out), "--methods", methods, *QUICK]) == 1
+        assert message in capsys.readouterr().err
+    for option, value in (("--timeout", "inf"), ("--samples", "100000000")):
+        assert main(["compare", str(data), "--out", str(out), *QUICK, option, value]) == 1
+        assert f"{option[2:]} is" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_it_fails_where_no_method_gave_a_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, out = write_meshes(tmp_path / "data", "a.ply"), tmp_path / "out"
+    arguments = ["compare", str(data), "--out", str(out), "--methods", "l0", "--timeout", "0.001", *QUICK]
+    assert main(arguments) == 1
+    printed = capsys.readouterr()
+    assert "no method gave a result" in printed.err
+    assert (out / "report.html").exists()
+
+
+def test_levels_that_differ_in_late_digits_are_apart(tmp_path: Path) -> None:
+    data, out = write_meshes(tmp_path / "data", "a.ply"), tmp_path / "out"
+    levels = ["--levels", "0.1234567,0.1234568", *QUICK[2:]]
+    assert main(["compare", str(data), "--out", str(out), "--methods", "laplacian", *levels]) == 0
+    rows = json.loads((out / "results.json").read_text(encoding="utf-8"))["rows"]
+    assert {row["level"] for row in rows} == {"0.1234567", "0.1234568"}
+
+
+def test_pairs_with_one_name_are_refused_and_their_noise_is_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mesh, data, out = ball(), tmp_path / "data", tmp_path / "out"
+    for part, name in (("original", "a.ply"), ("noisy", "a_n1.ply"), ("noisy", "a_n1.off")):
+        (data / part).mkdir(parents=True, exist_ok=True)
+        save((mesh.truth if part == "original" else mesh.noisy, mesh.faces), data / part / name)
+    arguments = ["compare", str(data), "--out", str(out), "--methods", "laplacian", *QUICK]
+    assert main(arguments) == 1
+    assert "2 noisy meshes are called a, n1" in capsys.readouterr().err
+    (data / "noisy" / "a_n1.off").unlink()
+    assert main(arguments) == 0
+    assert "--noise, --levels, --fraction and --seed are not for pairs" in capsys.readouterr().err

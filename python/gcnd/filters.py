@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from gcnd.start import Start
     from gcnd.surface import Surface
 
-__all__ = ["Filter", "FilterInfo", "apply_filter", "list_filters", "parse_parameters"]
+__all__ = ["Filter", "FilterInfo", "apply_filter", "finite", "list_filters", "parse_parameters"]
 
 
 @dataclass(frozen=True)
@@ -195,10 +196,17 @@ def parse_parameters(method: str, texts: Mapping[str, str]) -> dict[str, bool | 
             if kind is bool:
                 parsed[name] = {"true": True, "false": False}[text.lower()]
             else:
-                parsed[name] = int(text) if kind is int else float(text)
+                parsed[name] = int(text) if kind is int else finite(float(text))
         except (KeyError, ValueError):
             raise ConfigError(f"{given} is {text}, allowed: {_allowed(defaults[name])}") from None
     return parsed
+
+
+def finite(value: float) -> float:
+    """Returns a number that is one; raises ``ValueError`` for NaN and infinities."""
+    if not math.isfinite(value):
+        raise ValueError(value)
+    return value
 
 
 def _find(method: str) -> Callable[..., Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from dataclasses import asdict
 from enum import Enum
 from pathlib import Path
@@ -12,7 +13,7 @@ import typer
 
 from gcnd.cli.options import JsonFlag, Seed, print_json
 from gcnd.cli.progress import show_progress
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, GcndError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,10 +69,11 @@ def run(
     as_json: JsonFlag = False,
 ) -> None:
     """Run METHODS on the same noisy meshes and write tables, rows and a page; a stopped run goes on."""
-    from gcnd.compare.cases import NoisePlan, collect_cases
+    from gcnd.compare.cases import BUILTIN, NoisePlan, collect_cases, holds_pairs
     from gcnd.compare.finish import finish
     from gcnd.compare.methods import available, parse_methods
     from gcnd.compare.report import check_report_libraries
+    from gcnd.compare.rows import INPUT
     from gcnd.compare.run import Conditions, available_threads, check_output_folder, compare
     from gcnd.formats.lock import only_writer
 
@@ -81,15 +83,24 @@ def run(
     conditions = Conditions(processors, timeout, samples, retry_failed)
     check_report_libraries()
     check_output_folder(out)
-    cases = collect_cases(dataset, plan, n_shapes=shapes, shape_folder=out / "shapes", split=split.value)
     usable, skipped = available(wanted)
     if not usable:
         raise ConfigError("no method is left to compare", hint="; ".join(skipped))
-    for line in skipped:
-        print(line, file=sys.stderr)
     options = {"dataset": dataset, **asdict(conditions), **asdict(plan)}
     try:
-        with only_writer(out), show_progress(quiet=quiet) as progress:
+        with ExitStack() as held, show_progress(quiet=quiet) as progress:
+            # A folder that is there or is written to at once is held from the start, another once all is read.
+            if out.is_dir() or dataset == BUILTIN:
+                held.enter_context(only_writer(out))
+            cases = collect_cases(
+                dataset, plan, n_shapes=shapes, shape_folder=out / "shapes", split=split.value
+            )
+            if not out.is_dir():
+                held.enter_context(only_writer(out))
+            if holds_pairs(Path(dataset)) and not quiet:
+                print("--noise, --levels, --fraction and --seed are not for pairs", file=sys.stderr)
+            for line in skipped:
+                print(line, file=sys.stderr)
             rows = compare(cases, usable, out, conditions, progress=progress)
             lines = finish(
                 out, options, cases, usable, rows, skipped=skipped, pictures=pictures.value, progress=progress
@@ -102,6 +113,8 @@ def run(
     else:
         _print_means(lines)
     _print_failures(rows)
+    if all(row.error is not None for row in rows if row.method != INPUT):
+        raise GcndError("no method gave a result", hint="the reasons are above and in the report")
     if not quiet:
         print(f"wrote {out / 'report.html'}, results.csv and results.json", file=sys.stderr)
 

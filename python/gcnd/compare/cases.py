@@ -20,7 +20,7 @@ from gcnd.errors import ConfigError
 from gcnd.mesh_io import load, to_arrays
 from gcnd.scans import SCAN_KINDS, ScanKind, simulate
 
-__all__ = ["BUILTIN", "FIRST_SHAPE_SEED", "Case", "CaseMesh", "NoisePlan", "collect_cases"]
+__all__ = ["BUILTIN", "FIRST_SHAPE_SEED", "Case", "CaseMesh", "NoisePlan", "collect_cases", "holds_pairs"]
 
 BUILTIN = "builtin"
 """The name that stands for generated shapes in the place of a folder."""
@@ -151,6 +151,11 @@ def collect_cases(
     return _clean(folder, plan)
 
 
+def holds_pairs(folder: Path) -> bool:
+    """Whether a folder holds pairs, which bring their own noise."""
+    return any(_holds_pairs(path) for path in (folder, folder / "test", folder / "train"))
+
+
 def _holds_pairs(folder: Path) -> bool:
     return all((folder / part).is_dir() for part in _PAIR_PARTS)
 
@@ -165,6 +170,10 @@ def _paired(pairs: Sequence[PairFiles]) -> list[Case]:
             return CaseMesh(*load_pair(pair))
 
         cases.append(Case(pair.clean.stem, "mesh", "given", level, read))
+    for case, number in Counter((case.mesh, case.level) for case in cases).items():
+        if number > 1:
+            message = f"{number} noisy meshes are called {case[0]}, {case[1]}"
+            raise ConfigError(message, hint="give files that differ only after the dot other names")
     return cases
 
 
@@ -217,5 +226,6 @@ def _noisy(name: str, kind: str, truth: FloatArray, faces: FaceArray, plan: Nois
                 )
                 return CaseMesh(noisy, truth, faces)
 
-            cases.append(Case(name, kind, noise, f"{level:g}", make))
+            short = f"{level:g}"
+            cases.append(Case(name, kind, noise, short if float(short) == level else repr(level), make))
     return cases

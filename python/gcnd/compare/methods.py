@@ -13,12 +13,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import gcnd
 from gcnd.auto import AUTO, CANDIDATES
 from gcnd.compare.adapters import LIBRARIES, Adapted, Library
 from gcnd.compare.own import PRESET_SETTINGS
 from gcnd.errors import ConfigError
-from gcnd.filters import list_filters, parse_parameters
+from gcnd.filters import apply_filter, finite, list_filters, parse_parameters
 
 __all__ = [
     "BEST_OF_SIGMA_R",
@@ -41,6 +43,9 @@ GROUPS: dict[str, str] = {
     "all": "presets, classical and libraries",
 }
 """What a group's name stands for; the name of a library stands for all of its methods."""
+
+_TETRAHEDRON = (np.eye(4, 3), np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+"""The smallest mesh that any filter takes."""
 
 _TRIMESH_CLASSICAL = ("taubin", "taubin-tuned", "humphrey", "humphrey-tuned")
 _WITH_SETTINGS = re.compile(r"([^\[\]]+)(?:\[([^\[\]]*)\])?")
@@ -219,8 +224,16 @@ def _filter(name: str, settings: str | None) -> Method:
     given = _pairs(name, settings)
     defaults = next(info.parameters for info in list_filters() if info.name == name)
     chosen = {**defaults, **parse_parameters(name, given)}
+    if given:
+        _check_ranges(name, chosen)
     entry = "gcnd.compare.own:filtered"
     return Method(_label(name, given), name, "gcnd", entry, {"method": name, **chosen}, gcnd.__version__)
+
+
+def _check_ranges(name: str, parameters: Mapping[str, Any]) -> None:
+    """Tells what is out of range now and not in every run: an iteration on the smallest of meshes."""
+    once = {key: min(value, 1) if "iterations" in key else value for key, value in parameters.items()}
+    apply_filter(_TETRAHEDRON, name, **once)
 
 
 def _adapted(source: str, method: str, settings: str | None) -> Method:
@@ -242,7 +255,7 @@ def _value(name: str, adapted: Adapted, key: str, text: str) -> bool | int | flo
         raise ConfigError(f"{name} has no setting {key!r}", hint=f"its settings are {names}")
     kind = type(adapted.settings[key])
     try:
-        return {"true": True, "false": False}[text.lower()] if kind is bool else kind(text)
+        return {"true": True, "false": False}[text.lower()] if kind is bool else finite(kind(text))
     except (KeyError, ValueError):
         allowed = {bool: "true or false", int: "a whole number"}.get(kind, "a number")
         raise ConfigError(f"{key} is {text}, allowed: {allowed}") from None
@@ -254,6 +267,8 @@ def _pairs(name: str, settings: str | None) -> dict[str, str]:
         key, equals, value = (piece.strip() for piece in part.partition("="))
         if not (key and equals and value):
             raise ConfigError(f"{name} is given {part!r}, allowed: NAME=VALUE")
+        if key in pairs:
+            raise ConfigError(f"{name} is given {key} twice, allowed: once")
         pairs[key] = value
     return pairs
 

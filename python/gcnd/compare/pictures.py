@@ -86,9 +86,9 @@ def draw_case(mesh: CaseMesh, results: Mapping[str, Vertices]) -> CasePictures:
         Pictures in that order.
     """
     truth, faces = mesh.truth, mesh.faces
-    angles = {title: _errors(vertices, truth, faces) for title, vertices in results.items()}
-    noisy = _errors(mesh.noisy, truth, faces)
-    among = list(angles.values()) or [noisy]
+    angles = {title: normal_angles(vertices, truth, faces) for title, vertices in results.items()}
+    noisy = normal_angles(mesh.noisy, truth, faces)
+    among = [np.nan_to_num(one) for one in angles.values()] or [np.nan_to_num(noisy)]
     spread = np.ptp(among, axis=0) if len(among) > 1 else among[0]
     view = choose_view(truth, faces, spread)
     end = scale_end(among)
@@ -154,21 +154,17 @@ def _busiest_window(
     return float(sums[row, column]), x, y
 
 
-def _errors(vertices: Vertices, truth: Vertices, faces: Faces) -> NDArray[np.float64]:
-    return np.nan_to_num(normal_angles(vertices, truth, faces))
-
-
 def _shot(
     title: str, vertices: Vertices, faces: Faces, angles: NDArray[np.float64] | None, view: View, end: float
 ) -> Shot:
     def picture(values: NDArray[np.float64] | None, is_close: bool) -> str:
         window, pixels = (view.close, CLOSE_PIXELS) if is_close else (view.whole, WHOLE_PIXELS)
-        panel = Panel(title, vertices, faces, values)
+        panel = Panel(title, vertices, faces, None if values is None else np.nan_to_num(values))
         return data_uri(render(panel, view.matrix, window, max_value=end, pixels=pixels), "webp")
 
     return Shot(
         title,
-        None if angles is None else float(angles.mean()),
+        None if angles is None else float(np.nanmean(angles)),
         picture(angles, is_close=False),
         picture(None, is_close=True),
         "" if angles is None else picture(angles, is_close=True),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
 __all__ = ["Conditions", "available_threads", "check_output_folder", "compare", "load_result"]
 
 
+MOST_SAMPLES = 10_000_000
+"""Points on each surface: a few GB of them."""
+
+
 @dataclass(frozen=True)
 class Conditions:
     """Says what is the same for every run.
@@ -48,10 +53,10 @@ class Conditions:
         if not 1 <= self.threads <= available_threads():
             message = f"threads is {self.threads}, allowed: 1 to {available_threads()}"
             raise ConfigError(message, hint="this machine lets the process use no more")
-        if not self.timeout > 0:
-            raise ConfigError(f"timeout is {self.timeout:g}, allowed: above 0 seconds")
-        if self.samples < 1:
-            raise ConfigError(f"samples is {self.samples}, allowed: 1 or more")
+        if not (self.timeout > 0 and math.isfinite(self.timeout)):
+            raise ConfigError(f"timeout is {self.timeout:g}, allowed: above 0 seconds, and finite")
+        if not 1 <= self.samples <= MOST_SAMPLES:
+            raise ConfigError(f"samples is {self.samples}, allowed: 1 to {MOST_SAMPLES}")
 
 
 def available_threads() -> int:
