@@ -58,6 +58,7 @@ def test_the_report_of_a_preset(mesh_path: Path, denoise_calls: list[dict[str, A
     assert found["displacement"]["mean"] == pytest.approx(3**0.5)
     assert found["seconds"]["normals"] == 0.25
     assert found["seconds"]["writing"] > 0
+    assert found["seconds"]["loading"] > 0
     assert found["method"] == {"preset": "default"}
     assert len(denoise_calls) == 1
 

@@ -395,6 +395,10 @@ def test_other_things_that_are_no_mesh(preset: str, tmp_path: Path) -> None:
     [
         ({"normal_iterations": -1}, "normal_iterations is -1, allowed: 0 or more"),
         ({"vertex_iterations": -2}, "vertex_iterations is -2, allowed: 0 or more"),
+        ({"vertex_iterations": 10**9}, "vertex_iterations is 1000000000, allowed: 0 to 10000"),
+        ({"seed": "1"}, "seed is '1', allowed: a whole number"),
+        ({"seed": 1.5}, "seed is 1.5, allowed: a whole number"),
+        ({"preserve_volume": "no"}, "preserve_volume is 'no', allowed: True or False"),
         ({"preset": "papers"}, "unknown preset 'papers'"),
         ({"device": "gpu7"}, "unknown device 'gpu7'"),
     ],

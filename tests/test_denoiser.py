@@ -67,6 +67,11 @@ def test_other_precisions_are_refused(precision: Any) -> None:
         Denoiser("fast", precision=precision)
 
 
+def test_controls_of_another_kind_are_refused(preset: str) -> None:
+    with pytest.raises(ConfigError, match=r"controls is .*, allowed: gcnd.Controls or None"):
+        Denoiser(preset, controls={"strength": 0.5})  # type: ignore[arg-type]
+
+
 def test_it_gives_what_the_function_gives(preset: str) -> None:
     options: dict[str, Any] = {"seed": 3, "normal_iterations": 1, "vertex_iterations": 4}
     denoiser = Denoiser(preset, **options)

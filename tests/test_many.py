@@ -237,6 +237,24 @@ def test_a_folder_as_json_with_a_report_and_controls(
     assert np.array_equal(load(folder.parent / "out" / "a.ply").vertices, load(folder / "a.ply").vertices)
 
 
+def test_a_second_run_keeps_the_reports_of_what_it_skips(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = folder.parent / "out" / "report.json"
+    assert run_folder(folder, "-q", "--report", str(report)) == 1
+    first = {row["name"]: row["report"] for row in json.loads(report.read_text())}
+    (folder.parent / "out" / "a.ply").unlink()
+    assert run_folder(folder, "-q", "--report", str(report)) == 1
+    second = {row["name"]: (row["status"], row["report"]) for row in json.loads(report.read_text())}
+    assert {status for status, _ in second.values()} == {"done", "skipped", "failed"}
+    for name, (status, found) in second.items():
+        assert found == first[name] if status == "skipped" else (found is None) == (status == "failed")
+    report.write_text("no report")
+    assert run_folder(folder, "-q", "--report", str(report)) == 1
+    assert {row["report"] for row in json.loads(report.read_text())} == {None}
+    capsys.readouterr()
+
+
 @pytest.mark.parametrize("name", ["in/a.ply", "in/deep/c.off", "out/z.OBJ"])
 def test_a_report_of_a_folder_replaces_no_mesh(
     folder: Path, capsys: pytest.CaptureFixture[str], name: str

@@ -64,6 +64,8 @@ class Controls:
         for name in ("max_displacement", "max_displacement_edges"):
             if getattr(self, name) is not None:
                 _check_number(name, getattr(self, name), math.inf)
+        if not isinstance(self.preserve_volume, bool | np.bool_):
+            raise ConfigError(f"preserve_volume is {self.preserve_volume!r}, allowed: True or False")
 
     def bind(self, mesh: Any, arrays: MeshArrays) -> tuple[MeshArrays, Callable[[Points], Points]]:
         """Checks the controls against a mesh, before any long work.
@@ -137,7 +139,7 @@ class Controls:
 
 
 def _check_number(name: str, value: Any, largest: float) -> None:
-    allowed = "0 or more" if math.isinf(largest) else f"0 to {largest:g}"
+    allowed = "0 or more, and finite" if math.isinf(largest) else f"0 to {largest:g}"
     try:
         is_right = not isinstance(value, bool) and 0.0 <= float(value) <= largest and math.isfinite(value)
     except (TypeError, ValueError):

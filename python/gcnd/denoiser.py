@@ -10,6 +10,7 @@ from gcnd.auto import AUTO, CANDIDATES, choose_preset, read_signs
 from gcnd.controls import Controls
 from gcnd.denoise import Boundary, clean_arrays
 from gcnd.errors import ConfigError, WeightsError, check_count
+from gcnd.nn.cascade import MOST_ITERATIONS
 from gcnd.nn.fold import Precision
 from gcnd.predict import fast_precision
 from gcnd.runs import Denoised, Moved, run_on
@@ -71,8 +72,10 @@ class Denoiser:
                 f"precision is {precision!r}, allowed: {', '.join(get_args(Precision))} or None"
             )
         check_count("seed", seed)
-        check_count("normal_iterations", normal_iterations)
-        check_count("vertex_iterations", vertex_iterations)
+        check_count("normal_iterations", normal_iterations, MOST_ITERATIONS)
+        check_count("vertex_iterations", vertex_iterations, MOST_ITERATIONS)
+        if not isinstance(controls, Controls | None):
+            raise ConfigError(f"controls is {controls!r}, allowed: gcnd.Controls or None")
         self.preset, self.device, self.controls = str(preset), str(device), controls or Controls()
         self.settings: dict[str, Any] = {
             "seed": seed,

@@ -91,15 +91,16 @@ def check_real(name: str, value: object, least: float, most: float) -> None:
         raise ConfigError(f"{name} is {value!r}, allowed: a number, {least:g} to {most:g}")
 
 
-def check_count(name: str, value: int | None) -> None:
-    """Checks that a count or a seed fits the geometry core's 64 bits.
+def check_count(name: str, value: int | None, most: int = 2**64 - 1) -> None:
+    """Checks that a count or a seed is a whole number and, as most of them must, fits the geometry core's 64 bits.
 
     Args:
         name: Of the parameter, as the caller knows it.
-        value: What was given; None, which stands for a default, passes.
+        value: What was given, of Python or numpy; None, which stands for a default, passes.
+        most: Largest allowed value.
 
     Raises:
-        ConfigError: If it is below 0, or 2⁶⁴ or more.
+        ConfigError: If it is no whole number, below 0, or above ``most``.
 
     Example:
         >>> check_count("seed", 2**64 - 1)
@@ -107,8 +108,13 @@ def check_count(name: str, value: int | None) -> None:
         Traceback (most recent call last):
         gcnd.errors.ConfigError: seed is -1, allowed: 0 or more
     """
-    if value is not None and not 0 <= value < 1 << 64:
-        raise ConfigError(f"{name} is {value}, allowed: {'0 or more' if value < 0 else 'below 2**64'}")
+    if value is None:
+        return
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        raise ConfigError(f"{name} is {value!r}, allowed: a whole number, 0 or more")
+    if not 0 <= value <= most:
+        largest = "below 2**64" if most == 2**64 - 1 else f"0 to {most}"
+        raise ConfigError(f"{name} is {value}, allowed: {'0 or more' if value < 0 else largest}")
 
 
 def check_progress(progress: object) -> None:

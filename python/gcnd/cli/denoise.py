@@ -225,12 +225,14 @@ def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: b
         mesh = load(input_mesh, shape_only=is_same, triangulate=request.triangulate)
         check_polygons_path(mesh, input_mesh, output_mesh, request.confidence)
         method = request.method()
+    loading = time.perf_counter() - start
     with show_progress(quiet=quiet) as progress:
         done = method.run(mesh, progress=progress)
     writing = time.perf_counter()
     write_denoised(done, output_mesh, source=input_mesh, confidence=request.confidence)
     seconds = time.perf_counter() - start
     if request.report is not None:
+        done.seconds["loading"] = loading
         done.seconds["writing"] = time.perf_counter() - writing
         files = {"input": str(input_mesh), "output": str(output_mesh)}
         write_report(request.report, files | done.report())

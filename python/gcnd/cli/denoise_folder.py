@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -56,6 +57,7 @@ def run_folder(
                 f"{output_folder} is a file, and {input_folder} a folder", "name a folder for the results"
             )
         if request.report is not None:
+            output_folder.mkdir(parents=True, exist_ok=True)
             files = mesh_files(input_folder, output_folder)
             results = [output_folder / path.relative_to(input_folder) for path in files]
             check_output_path(request.report, *files, *results, is_mesh=False)
@@ -73,7 +75,9 @@ def run_folder(
             progress=progress,
         )
     if request.report is not None:
-        write_report(request.report, [_row(outcome) | {"report": outcome.report} for outcome in outcomes])
+        former = _former_reports(request.report)
+        rows = [_row(one) | {"report": one.report or _kept(one, former)} for one in outcomes]
+        write_report(request.report, rows)
     failed = sum(outcome.status == "failed" for outcome in outcomes)
     if as_json:
         print_json({"settings": request.settings, "files": [_row(outcome) for outcome in outcomes]})
@@ -87,6 +91,21 @@ def run_folder(
         print(", ".join(f"{count} {status}" for status, count in counts), file=sys.stderr)
     if failed:
         raise typer.Exit(1)
+
+
+def _former_reports(path: Path) -> dict[str, object]:
+    """What an earlier run of the folder wrote there, by the names of the meshes; nothing where it is anything else."""
+    text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else "[]"
+    try:
+        rows = json.loads(text)
+    except ValueError:
+        rows = []  # no report of ours: it is replaced
+    known = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+    return {str(row.get("name")): row.get("report") for row in known}
+
+
+def _kept(outcome: Outcome, former: dict[str, object]) -> object:
+    return former.get(outcome.name) if outcome.status == "skipped" else None
 
 
 def _row(outcome: Outcome) -> dict[str, object]:
