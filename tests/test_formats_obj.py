@@ -141,3 +141,22 @@ def test_several_materials_are_kept_by_reference(tmp_path: Path) -> None:
     ]  # fmt: skip
     again = load(tmp_path / "out" / "b.obj")
     assert again.face_attributes["material_id"].tolist() == [-1, 0, 1, 1, 0]
+
+
+def test_other_files_that_have_the_names_of_material_and_texture_stay(tmp_path: Path) -> None:
+    image_module = pytest.importorskip("PIL.Image")
+    material = trimesh.visual.material.SimpleMaterial(image=image_module.new("RGB", (2, 2), (10, 200, 30)))
+    mesh = trimesh.Trimesh(SQUARE[:4], [[0, 1, 2], [0, 2, 3]], process=False)
+    mesh.visual = trimesh.visual.TextureVisuals(uv=SQUARE[:4, :2], material=material)
+    others = {"t.mtl": b"precious", "t_texture.png": b"", "t_texture_2.png": b"too"}
+    for name, content in others.items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "t_2.mtl").symlink_to(tmp_path / "gone.mtl")
+    for _ in range(2):  # what an earlier run has written is used again
+        save(mesh, tmp_path / "t.obj")
+        assert {name: (tmp_path / name).read_bytes() for name in others} == others
+        new = {path.name for path in tmp_path.iterdir()} - set(others)
+        assert new == {"t.obj", "t_2.mtl", "t_3.mtl", "t_texture_3.png"}
+    assert not (tmp_path / "gone.mtl").exists()
+    assert "mtllib t_3.mtl\n" in (tmp_path / "t.obj").read_text()
+    assert load(tmp_path / "t.obj").visual.material.image.getpixel((0, 0)) == (10, 200, 30)

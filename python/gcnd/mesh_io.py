@@ -130,7 +130,7 @@ def save(mesh: Any, path: MeshPath, *, like: MeshPath | None = None) -> None:
     Coordinates get 64 bits in PLY when the mesh was read from a file that had them, and in every format
     where 32 bits would move a vertex by more than 10⁻³ mean edge lengths (see `needs_float64`): STL is then
     text, and GLB keeps its offset in the node. OBJ and OFF text always reads back exactly. OBJ brings its
-    .mtl and a copy of its texture, named after it.
+    .mtl and a copy of its texture, named after it; where another file has such a name, with a number behind.
 
     Args:
         mesh: A trimesh.Trimesh, or a pair (vertices, faces).

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -149,7 +150,7 @@ def _encode_glb(mesh: trimesh.Trimesh, is_wide: bool) -> bytes:
 
 
 def _encode_obj(mesh: trimesh.Trimesh, parsed: ParsedMesh, path: Path) -> dict[Path, bytes]:
-    """The OBJ file with its material library and texture, all named after it."""
+    """The OBJ file with its material library and texture, named after it and after no other file that is there."""
     files: dict[Path, bytes] = {}
     names: Sequence[str] = ()
     if "material_id" in parsed.face_attributes and "materials" in parsed.metadata:
@@ -163,8 +164,8 @@ def _encode_obj(mesh: trimesh.Trimesh, parsed: ParsedMesh, path: Path) -> dict[P
         texture = _image_path(mesh)
         library = _material_library(simple, path, texture, files)
         if library is not None:
-            files[path.with_suffix(".mtl")] = library
-            parsed.material_libraries, names = [path.with_suffix(".mtl").name], [path.stem.replace(" ", "_")]
+            place = _add_beside(files, path.with_suffix(".mtl"), library)
+            parsed.material_libraries, names = [place.name], [path.stem.replace(" ", "_")]
     files[path] = write_obj(parsed, names)
     return files
 
@@ -180,11 +181,24 @@ def _material_library(
     for image_name, image in written.items():
         # The image is copied as it is where its file is known: encoding it again would lose quality.
         suffix = Path(image_name).suffix if texture is None else texture.suffix
-        copy = path.with_name(f"{name}_texture{suffix}")
-        text = text.replace(f"map_Kd {image_name}", f"map_Kd {copy.name}")
-        if texture is None or texture.resolve() != copy.resolve():
-            files[copy] = image if texture is None else texture.read_bytes()
+        content = image if texture is None else texture.read_bytes()
+        place = _add_beside(files, path.with_name(f"{name}_texture{suffix}"), content)
+        text = text.replace(f"map_Kd {image_name}", f"map_Kd {place.name}")
     return (text + "\n").encode("utf-8")
+
+
+def _add_beside(files: dict[Path, bytes], path: Path, content: bytes) -> Path:
+    """Adds a file of this name, or of the first of name_2, name_3, … that is free; one of this content is used."""
+    numbered = (path.with_name(f"{path.stem}_{number}{path.suffix}") for number in count(2))
+    places = chain([path], numbered)
+    place = next(place for place in places if not os.path.lexists(place) or _holds(place, content))
+    if not os.path.lexists(place):
+        files[place] = content
+    return place
+
+
+def _holds(path: Path, content: bytes) -> bool:
+    return path.is_file() and os.access(path, os.R_OK) and path.read_bytes() == content
 
 
 def _image_path(mesh: trimesh.Trimesh) -> Path | None:
