@@ -73,3 +73,53 @@ def test_a_single_result_is_always_written_anew(
     assert main(["denoise", str(mesh_path), str(out), "-q", *options]) == 0
     assert np.array_equal(load(out).vertices, VERTICES + 1.0)
     assert len(denoise_calls) == 1
+
+
+def obj_with_materials(folder: Path) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / "my mat.mtl").write_text("newmtl red\nmap_Kd wood.png\n")
+    (folder / "wood.png").write_bytes(b"wood")
+    rows = [f"v {x} {y} {z}" for x, y, z in VERTICES.tolist()]
+    path = folder / "t.obj"
+    path.write_text(
+        "\n".join(["mtllib my mat.mtl", *rows, "usemtl red", "f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"])
+    )
+    return path
+
+
+@pytest.mark.parametrize("name", ["my mat.mtl", "wood.png", "out/my mat.mtl", "out/wood.png", "out/t.mtl"])
+def test_a_report_in_the_place_of_a_material_is_refused(
+    tmp_path: Path, denoise_calls: list[dict[str, Any]], capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    source = obj_with_materials(tmp_path)
+    (tmp_path / "out").mkdir()
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    out, report = tmp_path / "out" / "t.obj", tmp_path / name
+    assert main(["denoise", str(source), str(out), "--report", str(report)]) == 1
+    assert f"{report} is the input itself, or another file of this run" in capsys.readouterr().err
+    assert denoise_calls == []
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == before
+
+
+@pytest.mark.parametrize("blocked", ["my mat.mtl", "wood.png"])
+@pytest.mark.parametrize("whole_folder", [False, True])
+def test_another_file_of_a_material_s_name_is_told_before_the_work(
+    tmp_path: Path,
+    denoise_calls: list[dict[str, Any]],
+    capsys: pytest.CaptureFixture[str],
+    blocked: str,
+    whole_folder: bool,
+) -> None:
+    source = obj_with_materials(tmp_path / "in")
+    out = tmp_path / "out" / "t.obj"
+    out.parent.mkdir()
+    (out.parent / blocked).write_text("other")
+    paths = (source.parent, out.parent) if whole_folder else (source, out)
+    assert main(["denoise", *map(str, paths)]) == 1
+    told = capsys.readouterr().err
+    assert (
+        f"cannot write {out}: it refers to {blocked}, and {out.parent / blocked} is another file than" in told
+    )
+    assert "cannot read" not in told
+    assert denoise_calls == []
+    assert [path.name for path in out.parent.iterdir()] == [blocked]

@@ -14,6 +14,7 @@ import numpy as np
 
 from gcnd.errors import Cancelled, ConfigError, GcndError, check_progress
 from gcnd.formats.atomic import write_hint
+from gcnd.formats.referred import check_copies
 from gcnd.mesh_io import SUPPORTED, check_output_path, load, save
 from gcnd.runs import Denoised, Method
 from gcnd.stages import Progress
@@ -306,6 +307,8 @@ def run_job(job: Job, denoiser: Method, wanted: Wanted, progress: Progress) -> O
         is_same = job.output.suffix.lower() == job.mesh.suffix.lower()
         mesh = load(job.mesh, shape_only=is_same, triangulate=denoiser.triangulate)
         check_polygons_path(mesh, job.mesh, job.output, wanted.confidence)
+        if not wanted.confidence:
+            check_copies(job.mesh, job.output)
         done = denoiser.run(mesh, progress=progress)
         write_denoised(done, job.output, source=job.mesh, confidence=wanted.confidence)
         return _done(job, started, done, wanted, output=job.output)

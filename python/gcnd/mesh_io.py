@@ -151,6 +151,7 @@ def save(mesh: Any, path: MeshPath, *, like: MeshPath | None = None) -> None:
         mesh = trimesh.Trimesh(arrays.vertices, arrays.faces.astype(np.int64), process=False)
     try:
         for name, data in (files or encode(mesh, path)).items():
+            name.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(name, data)
     except OSError as error:
         raise MeshError(f"cannot write {path}: {error.strerror or error}", write_hint(error)) from error
@@ -163,7 +164,7 @@ def _written_again(mesh: Any, source: Path, path: Path) -> dict[Path, bytes] | N
     extension = _known_extension(path)
     arrays, _ = to_arrays(mesh)
 
-    def change(data: bytes) -> dict[Path, bytes] | None:
+    def change(data: bytes) -> tuple[bytes, bytes | None]:
         parsed = read_glb_shape(data) if extension == ".glb" else _parsed(data, extension, triangulate=True)
         if len(parsed.vertices) != len(arrays.vertices) or not np.array_equal(parsed.faces, arrays.faces):
             raise MeshError("it has other faces than the mesh", "name the file that the mesh was read from")
@@ -171,10 +172,10 @@ def _written_again(mesh: Any, source: Path, path: Path) -> dict[Path, bytes] | N
         n_own = len(arrays.vertices) if own is None else int(own.max()) + 1
         faces = parsed.faces if own is None else own[parsed.faces]
         motion = Motion(parsed.vertices[:n_own], arrays.vertices[:n_own], faces, parsed.polygons)
-        changed = rewrite(data, extension, motion)
-        return None if changed is None else {**copies_of_referred(data, source, path), path: changed}
+        return data, rewrite(data, extension, motion)
 
-    return _read(source, change)
+    data, changed = _read(source, change)
+    return None if changed is None else {**copies_of_referred(data, source, path), path: changed}
 
 
 def check_output_path(path: MeshPath, *others: MeshPath, is_mesh: bool = True) -> None:

@@ -224,6 +224,7 @@ def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: b
         is_same = input_mesh.suffix.lower() == output_mesh.suffix.lower()
         mesh = load(input_mesh, shape_only=is_same, triangulate=request.triangulate)
         check_polygons_path(mesh, input_mesh, output_mesh, request.confidence)
+        _check_referred(input_mesh, output_mesh, request)
         method = request.method()
     loading = time.perf_counter() - start
     with show_progress(quiet=quiet) as progress:
@@ -252,6 +253,17 @@ def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: b
         if "why" in done.method:
             print(f"preset {done.method['preset']}: {done.method['why']}", file=sys.stderr)
         print(f"wrote {output_mesh}: {len(mesh.faces):,} faces in {seconds:.1f} s", file=sys.stderr)
+
+
+def _check_referred(input_mesh: Path, output_mesh: Path, request: Request) -> None:
+    """Checks that materials and textures can go along with the result, and that the report replaces none."""
+    from gcnd.formats.referred import check_copies, paths_of_referred
+    from gcnd.mesh_io import check_output_path
+
+    if not request.confidence:
+        check_copies(input_mesh, output_mesh)
+    if request.report is not None:
+        check_output_path(request.report, *paths_of_referred(input_mesh, output_mesh), is_mesh=False)
 
 
 def _filter_options(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path, PurePosixPath
 from typing import Any
+
+from gcnd.errors import MeshError
 
 __all__ = ["find_beside", "resolver_beside"]
 
@@ -22,14 +25,17 @@ def find_beside(folder: Path, name: str) -> Path | None:
         The file's real path; None if it is not there, is no ordinary file, or lies elsewhere, through a link or ``..``.
 
     Raises:
-        ValueError: It has more than 2³⁰ bytes.
+        MeshError: It has more than 2³⁰ bytes.
     """
+    if "\0" in name:
+        return None
     home = folder.resolve()
     path = (home / PurePosixPath(name.strip().replace("\\", "/"))).resolve()
-    if not (path.is_relative_to(home) and path.is_file()):
+    # Of a name that is too long, os.path tells that it is not there, where Path.is_file fails.
+    if not (path.is_relative_to(home) and os.path.isfile(path)):
         return None
     if path.stat().st_size > _LARGEST_FILE:
-        raise ValueError(f"{path} has more than {_LARGEST_FILE:,} bytes")
+        raise MeshError(f"{path} has more than {_LARGEST_FILE:,} bytes", "a material or texture is smaller")
     return path
 
 

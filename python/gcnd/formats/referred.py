@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
@@ -10,7 +11,7 @@ from gcnd.errors import MeshError
 from gcnd.formats.beside import find_beside
 from gcnd.formats.ply_header import parse_header
 
-__all__ = ["copies_of_referred"]
+__all__ = ["check_copies", "copies_of_referred", "paths_of_referred"]
 
 
 def copies_of_referred(data: bytes, source: Path, path: Path) -> dict[Path, bytes]:
@@ -25,32 +26,84 @@ def copies_of_referred(data: bytes, source: Path, path: Path) -> dict[Path, byte
         path: Where it will be written.
 
     Returns:
-        Contents by path; of what is there already, nothing.
+        Contents by path, of which folders may be missing; of what is there already, nothing.
 
     Raises:
-        MeshError: Another file of such a name is there.
+        MeshError: Another file of such a name is there, or a file cannot be read.
     """
-    from_folder, to_folder = source.absolute().parent, path.absolute().parent
+    to_folder = path.absolute().parent
     copies: dict[Path, bytes] = {}
+    for name, found in _found(data, source).items():
+        inner = PurePosixPath(name.replace("\\", "/"))
+        if found is None or inner.is_absolute() or ".." in inner.parts:
+            continue
+        copy, content = to_folder / inner, _content(found)
+        if _is_free(copy):
+            copies[copy] = content
+        elif not copy.is_file() or _content(copy) != content:
+            raise MeshError(
+                f"cannot write {path}: it refers to {name}, and {copy} is another file than {found}",
+                "choose another folder for the result",
+            )
+    return copies
+
+
+def check_copies(source: Path, path: Path) -> None:
+    """Checks that what a mesh file refers to can be copied beside its result, before any long work.
+
+    Args:
+        source: A mesh file, as has been read before.
+        path: Where its result will be written; of another format, it takes nothing along.
+
+    Raises:
+        MeshError: See `copies_of_referred`.
+    """
+    if source.suffix.lower() == path.suffix.lower():
+        copies_of_referred(_content(source), source, path)
+
+
+def paths_of_referred(source: Path, path: Path) -> list[Path]:
+    """Lists the files of a run besides its input and its result, which nothing else may replace.
+
+    Args:
+        source: A mesh file, as has been read before.
+        path: Where its result will be written.
+
+    Returns:
+        What `source` refers to, there or not, what will be beside `path` under such names, and its material library.
+    """
+    names = [name.replace("\\", "/") for name in _found(_content(source), source)]
+    names += [PurePosixPath(name).name for name in names]
+    libraries = [path.with_suffix(".mtl")] if path.suffix.lower() == ".obj" else []
+    return [folder / name for folder in (source.parent, path.parent) for name in names] + libraries
+
+
+def _found(data: bytes, source: Path) -> dict[str, Path | None]:
+    """All names that a file and its material libraries refer to, and where they lie in its folder or below."""
+    folder = source.absolute().parent
+    found: dict[str, Path | None] = {}
     waiting = _referred(data, source.suffix.lower())
     while waiting:
         name = waiting.pop()
-        inner = PurePosixPath(name.replace("\\", "/"))
-        copy = to_folder / inner
-        if inner.is_absolute() or ".." in inner.parts or copy in copies:
+        if name in found or "\0" in name:
             continue
-        found = find_beside(from_folder, name)
-        if found is None:
-            continue
-        content = found.read_bytes()
-        waiting += _textures(content) if inner.suffix.lower() == ".mtl" else []
-        if not copy.exists():
-            copies[copy] = content
-        elif copy.read_bytes() != content:
-            raise MeshError(f"{copy} is another file than {found}", "choose another folder for the result")
-    for copy in copies:
-        copy.parent.mkdir(parents=True, exist_ok=True)
-    return copies
+        found[name] = library = find_beside(folder, name)
+        if library is not None and library.suffix.lower() == ".mtl":
+            waiting += _textures(_content(library))
+    return found
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise MeshError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _is_free(path: Path) -> bool:
+    """Whether a file can be made there: there is nothing, and what is there of the folders above are folders."""
+    above = next(folder for folder in path.parents if os.path.lexists(folder))
+    return above.is_dir() and not os.path.lexists(path)
 
 
 def _referred(data: bytes, extension: str) -> list[str]:
@@ -68,7 +121,7 @@ def _referred(data: bytes, extension: str) -> list[str]:
 
 def _rests(data: bytes, *keys: str) -> list[str]:
     """What follows a keyword at the beginning of a line, without the keyword."""
-    lines = [line.strip().partition(" ") for line in data.decode("utf-8", errors="replace").splitlines()]
+    lines = [line.strip().partition(" ") for line in data.decode("utf-8-sig", errors="replace").splitlines()]
     return [rest.strip() for key, _, rest in lines if key.lower().startswith(keys) and rest.strip()]
 
 
