@@ -160,3 +160,27 @@ def test_other_files_that_have_the_names_of_material_and_texture_stay(tmp_path: 
     assert not (tmp_path / "gone.mtl").exists()
     assert "mtllib t_3.mtl\n" in (tmp_path / "t.obj").read_text()
     assert load(tmp_path / "t.obj").visual.material.image.getpixel((0, 0)) == (10, 200, 30)
+
+
+@pytest.mark.parametrize(
+    ("line", "names"),
+    [
+        ("a.mtl b.mtl", ["a.mtl", "b.mtl"]),
+        ("my own.mtl  deep/b.mtl", ["my own.mtl", "deep/b.mtl"]),
+        ("a b.mtl", ["a b.mtl"]),
+        ("gone b.MTL", ["b.MTL"]),
+        (" ".join(["gone.mtl"] * 60 + ["b.mtl"]), ["b.mtl"]),
+    ],
+)
+def test_several_libraries_on_a_line(tmp_path: Path, line: str, names: list[str]) -> None:
+    (tmp_path / "out").mkdir()
+    for number, name in enumerate(names):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        # The last one has the material that is in use.
+        (tmp_path / name).write_text(f"newmtl m{len(names) - 1 - number}\nKd 0 0 1\n")
+    source = obj(tmp_path, f"mtllib {line}\n{VERTICES}usemtl m0\nf 1 2 3\n")
+    mesh = load(source)
+    assert mesh.visual.material.diffuse.tolist() == [0, 0, 255, 255]
+    save(mesh, tmp_path / "out" / "b.obj", like=source)
+    for name in names:
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / name).read_bytes()

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gcnd.errors import GcndError, MeshError
 from gcnd.formats.atomic import write_atomic, write_hint
-from gcnd.formats.beside import resolver_beside
+from gcnd.formats.beside import libraries_of_line, resolver_beside
 from gcnd.formats.export import encode
 from gcnd.formats.glb import check_glb
 from gcnd.formats.glb_scene import read_glb_shape
@@ -329,11 +329,12 @@ def _material(parsed: ParsedMesh, path: Path) -> Any:
     resolver = resolver_beside(folder)
     simple_material: Any = trimesh.visual.material.SimpleMaterial
     parse_library: Any = trimesh.exchange.obj.parse_mtl
+    libraries = [name for line in parsed.material_libraries for name in libraries_of_line(folder, line)]
     if "materials" in parsed.metadata:
-        parsed.metadata["material_libraries"] = [str(folder / name) for name in parsed.material_libraries]
+        parsed.metadata["material_libraries"] = [str(folder / name) for name in libraries]
     material: Any = None
     # A missing or broken material costs the look, not the shape: go on without it.
-    for library in parsed.material_libraries if parsed.material is not None else ():
+    for library in libraries if parsed.material is not None else ():
         with suppress(OSError, ValueError, KeyError, TypeError):
             found = parse_library(resolver.get(library), resolver=resolver)
             material = material or simple_material(**found[parsed.material])

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from gcnd.errors import MeshError
 
-__all__ = ["find_beside", "resolver_beside"]
+__all__ = ["find_beside", "libraries_of_line", "resolver_beside"]
 
 _LARGEST_FILE = 1 << 30
 """Bytes of a material or texture."""
@@ -27,16 +28,41 @@ def find_beside(folder: Path, name: str) -> Path | None:
     Raises:
         MeshError: It has more than 2³⁰ bytes.
     """
+    path = _path_beside(folder, name)
+    if path is not None and path.stat().st_size > _LARGEST_FILE:
+        raise MeshError(f"{path} has more than {_LARGEST_FILE:,} bytes", "a material or texture is smaller")
+    return path
+
+
+def _path_beside(folder: Path, name: str) -> Path | None:
     if "\0" in name:
         return None
     home = folder.resolve()
     path = (home / PurePosixPath(name.strip().replace("\\", "/"))).resolve()
     # Of a name that is too long, os.path tells that it is not there, where Path.is_file fails.
-    if not (path.is_relative_to(home) and os.path.isfile(path)):
-        return None
-    if path.stat().st_size > _LARGEST_FILE:
-        raise MeshError(f"{path} has more than {_LARGEST_FILE:,} bytes", "a material or texture is smaller")
-    return path
+    return path if path.is_relative_to(home) and os.path.isfile(path) else None
+
+
+def libraries_of_line(folder: Path, line: str) -> list[str]:
+    """Tells the material libraries of an OBJ's line apart, whose names may have spaces and have spaces between them.
+
+    Args:
+        folder: Where the OBJ file is.
+        line: What follows ``mtllib``.
+
+    Returns:
+        The whole line where there is such a file; else what ends in ``.mtl``, else the words, where one of them is
+        there; else the whole line.
+    """
+    for names in ([line], re.split(r"(?<=\.mtl)\s+", line, flags=re.IGNORECASE), line.split()):
+        if any(_path_beside(folder, name) or _path_beside(folder, _last(name)) for name in names):
+            return names
+    return [line]
+
+
+def _last(name: str) -> str:
+    """A file's name without its folders. Others write full paths of their own machines: that file beside is meant."""
+    return name.strip().replace("\\", "/").rpartition("/")[-1]
 
 
 def resolver_beside(folder: Path) -> Any:
@@ -45,9 +71,7 @@ def resolver_beside(folder: Path) -> Any:
 
     class FilesBeside(trimesh.resolvers.FilePathResolver):  # type: ignore[misc, unused-ignore]
         def get(self, name: str) -> bytes:
-            # Others write full paths of their own machines: the file of that name beside the mesh is meant.
-            last = name.strip().replace("\\", "/").rpartition("/")[-1]
-            path = find_beside(folder, name) or find_beside(folder, last)
+            path = find_beside(folder, name) or find_beside(folder, _last(name))
             if path is None:
                 raise FileNotFoundError(name)
             return path.read_bytes()

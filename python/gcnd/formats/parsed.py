@@ -42,7 +42,7 @@ class ParsedMesh:
         face_attributes: Any other value per face, each (F,) or (F, n).
         metadata: What the file says about the whole mesh.
         texture: Name of the texture image, as the file writes it, or None.
-        material_libraries: Names of material files, as the file writes them.
+        material_libraries: Names of material files, as the file writes them, several in a line too.
         material: Name of the one material in use, or None.
         source_vertex: int64 (V,), the file's vertex of each vertex here, where seams repeat some; or None.
         polygons: Which faces of the file the triangles stand for, where some have more corners; or None.

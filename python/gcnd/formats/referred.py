@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
 from gcnd.errors import MeshError
-from gcnd.formats.beside import find_beside
+from gcnd.formats.beside import find_beside, libraries_of_line
 from gcnd.formats.ply_header import parse_header
 
 __all__ = ["check_copies", "copies_of_referred", "paths_of_referred"]
@@ -82,7 +82,7 @@ def _found(data: bytes, source: Path) -> dict[str, Path | None]:
     """All names that a file and its material libraries refer to, and where they lie in its folder or below."""
     folder = source.absolute().parent
     found: dict[str, Path | None] = {}
-    waiting = _referred(data, source.suffix.lower())
+    waiting = _referred(data, source.suffix.lower(), folder)
     while waiting:
         name = waiting.pop()
         if name in found or "\0" in name:
@@ -106,9 +106,9 @@ def _is_free(path: Path) -> bool:
     return above.is_dir() and not os.path.lexists(path)
 
 
-def _referred(data: bytes, extension: str) -> list[str]:
+def _referred(data: bytes, extension: str, folder: Path) -> list[str]:
     if extension == ".obj":
-        return _rests(data, "mtllib")
+        return [name for line in _rests(data, "mtllib") for name in libraries_of_line(folder, line)]
     if extension == ".ply":
         texture = parse_header(data[3:] if data[:1] == b"\xef" else data).texture
         return [] if texture is None else [texture]
