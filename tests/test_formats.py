@@ -213,13 +213,6 @@ def test_ply_texture_coordinates_per_face_split_the_seam_only(tmp_path: Path) ->
     assert np.array_equal(again.faces, mesh.faces)
 
 
-def test_lists_of_changing_length_are_named(tmp_path: Path) -> None:
-    text = TEXT_PLY.replace("property int label", "property list uchar int label")
-    text = text.replace("3 0 1 2 7", "3 0 1 2 1 7").replace("3 0 2 3 -9", "3 0 2 3 2 5 6")
-    with pytest.raises(MeshError, match="list 'label' has 1 values in face 0 and 2 in face 1"):
-        load(written(tmp_path, "a.ply", text))
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -7,7 +7,7 @@ move.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,21 +20,13 @@ from gcnd.formats.parsed import (
     polygon_error,
     rgba_from_values,
     split_seams,
-    truncated_error,
 )
 from gcnd.formats.ply_header import PlyElement, PlyHeader, PlyProperty, parse_header
-from gcnd.formats.ply_ragged import layout_text, read_ragged, take_polygons
+from gcnd.formats.ply_ragged import keep_even_lists, layout_text, read_ragged, take_polygons
+from gcnd.formats.ply_uniform import INDEX_NAMES, has_face_indices, uniform_numbers, uniform_rows
 
-__all__ = [
-    "first_lengths_binary",
-    "first_lengths_text",
-    "has_face_indices",
-    "read_ply",
-    "record_fields",
-    "write_ply",
-]
+__all__ = ["read_ply", "write_ply"]
 
-_INDEX_NAMES = ("vertex_indices", "vertex_index")
 _UV_NAMES = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
 _RGB, _NORMAL = ("red", "green", "blue"), ("nx", "ny", "nz")
 
@@ -45,7 +37,8 @@ def read_ply(data: bytes, *, triangulate: bool = False) -> ParsedMesh:
     """Reads a PLY file.
 
     A vertex whose faces give it several texture coordinates is repeated at the end of the vertices (see
-    `split_seams`); otherwise vertices and faces are the file's, in the file's order.
+    `split_seams`); otherwise vertices and faces are the file's, in the file's order. A list of which one vertex or face
+    has more values than another is left out.
 
     Args:
         data: The whole file.
@@ -61,9 +54,10 @@ def read_ply(data: bytes, *, triangulate: bool = False) -> ParsedMesh:
     read = _read_text if header.byte_order is None else _read_binary
     columns = read(data, header, triangulate)
     vertex, face = columns.get("vertex", {}), columns.get("face", {})
+    keep_even_lists(vertex)
     if not all(axis in vertex for axis in "xyz"):
         raise MeshError("it has no vertices with x, y and z", "it may hold something other than a mesh")
-    index_name = next((name for name in _INDEX_NAMES if name in face), None)
+    index_name = next((name for name in INDEX_NAMES if name in face), None)
     parsed = ParsedMesh(
         vertices=np.column_stack([vertex.pop(axis) for axis in "xyz"]).astype(np.float64),
         faces=np.zeros((0, 3), np.int64),
@@ -71,6 +65,9 @@ def read_ply(data: bytes, *, triangulate: bool = False) -> ParsedMesh:
     )
     lengths = face.pop(f"{index_name} length", None)
     if index_name is not None and lengths is not None:
+        if not triangulate and (lengths != 3).any():
+            bad = int(np.argmax(lengths != 3))
+            raise polygon_error(bad, int(lengths[bad]))
         take_polygons(parsed, face.pop(index_name).astype(np.int64), lengths, face)
     elif index_name is not None and face[index_name].ndim == 2:
         parsed.faces = face.pop(index_name).astype(np.int64)
@@ -115,34 +112,31 @@ def _pop_colors(columns: Columns) -> NDArray[np.uint8] | None:
 
 
 def _read_binary(data: bytes, header: PlyHeader, triangulate: bool) -> dict[str, Columns]:
-    """Reads every element of a binary file into columns, (n,) for a number and (n, k) for a list."""
+    """Reads every element of a binary file into columns, (n,) for a number and (n, k) for a list.
+
+    Of an element whose lists differ in length, columns are as `read_ragged` has them.
+    """
     columns: dict[str, Columns] = {}
     position = header.data_start
     order = header.byte_order or "<"
     for element in header.elements:
-        if triangulate and has_face_indices(element):
+        is_split = triangulate and has_face_indices(element)
+        rows = None if is_split else uniform_rows(data, position, element, order)
+        if rows is None:
             columns[element.name], position = read_ragged(data, position, element, order)
             continue
-        lengths = first_lengths_binary(data, position, element, header.byte_order or "<")
-        record = np.dtype(record_fields(element, lengths, header.byte_order or "<"))
-        n_whole = min(element.count, max(0, len(data) - position) // max(record.itemsize, 1))
-        rows = np.frombuffer(data, dtype=record, count=n_whole, offset=min(position, len(data)))
-        counts = {f"{p.name} length": rows[f"{p.name} length"] for p in element.properties if p.count_dtype}
-        _check_lengths(element, lengths, counts)
-        if n_whole < element.count:
-            raise truncated_error(f"{element.name} records", element.count, n_whole)
         # Native byte order and own memory, so that nothing keeps the whole file alive.
         columns[element.name] = {
             p.name: rows[p.name].astype(rows[p.name].dtype.newbyteorder("=")) for p in element.properties
         }
-        position += element.count * record.itemsize
+        position += rows.nbytes
     if position < len(data) and data[position:].strip():
         raise MeshError(f"{len(data) - position} bytes follow the data its header announces", DAMAGED_HINT)
     return columns
 
 
 def _read_text(data: bytes, header: PlyHeader, triangulate: bool) -> dict[str, Columns]:
-    """Reads every element of a text file into columns, (n,) for a number and (n, k) for a list."""
+    """Reads every element of a text file into columns, as `_read_binary` does."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
         try:
@@ -152,38 +146,18 @@ def _read_text(data: bytes, header: PlyHeader, triangulate: bool) -> dict[str, C
     columns: dict[str, Columns] = {}
     position = 0
     for element in header.elements:
-        if triangulate and has_face_indices(element):
+        is_split = triangulate and has_face_indices(element)
+        table = None if is_split else uniform_numbers(numbers, position, element)
+        if table is None:
             layout = layout_text(numbers, position, element)
-            columns[element.name] = layout.with_lengths(
-                {
-                    p.name: _as_declared(numbers[layout.all_places(p.name, 1)], p.dtype, element, p)
-                    for p in element.properties
-                }
-            )
+            found = {p.name: numbers[layout.all_places(p.name, 1)] for p in element.properties}
             position = layout.end
-            continue
-        lengths = first_lengths_text(numbers[position:], element)
-        width = sum(1 + lengths[p.name] if p.count_dtype else 1 for p in element.properties)
-        n_whole = min(element.count, (len(numbers) - position) // max(width, 1))
-        rows = numbers[position : position + n_whole * width].reshape(n_whole, width)
-        values: Columns = {}
-        counts: Columns = {}
-        column = 0
-        for p in element.properties:
-            if p.count_dtype:
-                counts[f"{p.name} length"] = rows[:, column]
-                values[p.name] = _as_declared(
-                    rows[:, column + 1 : column + 1 + lengths[p.name]], p.dtype, element, p
-                )
-                column += 1 + lengths[p.name]
-            else:
-                values[p.name] = _as_declared(rows[:, column], _text_dtype(p), element, p)
-                column += 1
-        _check_lengths(element, lengths, counts)
-        if n_whole < element.count:
-            raise truncated_error(f"{element.name} records", element.count, n_whole)
-        columns[element.name] = values
-        position += element.count * width
+        else:
+            rows, column_of = table
+            found = {p.name: rows[:, column_of[p.name]] for p in element.properties}
+            position += rows.size
+        values = {p.name: _as_declared(found[p.name], _text_dtype(p), element, p) for p in element.properties}
+        columns[element.name] = values if table is not None else layout.with_lengths(values)
     if position < len(numbers):
         raise MeshError(
             f"{len(numbers) - position} numbers follow the data its header announces", DAMAGED_HINT
@@ -214,87 +188,6 @@ def _as_declared(
 def _text_dtype(prop: PlyProperty) -> str:
     # Text coordinates carry the digits they were written with, whatever the header calls them.
     return "f8" if prop.name in ("x", "y", "z") else prop.dtype
-
-
-def _is_face_indices(element: PlyElement, prop: PlyProperty) -> bool:
-    return element.name == "face" and prop.name in _INDEX_NAMES
-
-
-def has_face_indices(element: PlyElement) -> bool:
-    """Returns whether an element holds the corners of faces."""
-    return any(p.count_dtype is not None and _is_face_indices(element, p) for p in element.properties)
-
-
-def first_lengths_binary(data: bytes, position: int, element: PlyElement, order: str) -> dict[str, int]:
-    """Length of each list in the element's first record; a face's indices are taken to be three."""
-    lengths: dict[str, int] = {}
-    for p in element.properties:
-        if p.count_dtype:
-            count_dtype = np.dtype(order + p.count_dtype)
-            is_inside = element.count > 0 and position + count_dtype.itemsize <= len(data)
-            first = int(np.frombuffer(data, count_dtype, 1, position)[0]) if is_inside else 0
-            lengths[p.name] = 3 if _is_face_indices(element, p) else _plausible(first, element, p)
-            position += count_dtype.itemsize + lengths[p.name] * np.dtype(p.dtype).itemsize
-        else:
-            position += np.dtype(p.dtype).itemsize
-    return lengths
-
-
-def first_lengths_text(numbers: NDArray[np.float64], element: PlyElement) -> dict[str, int]:
-    """Length of each list in the element's first record; a face's indices are taken to be three."""
-    lengths: dict[str, int] = {}
-    column = 0
-    for p in element.properties:
-        if p.count_dtype:
-            is_inside = element.count > 0 and column < len(numbers) and np.isfinite(numbers[column])
-            first = int(numbers[column]) if is_inside else 0
-            lengths[p.name] = 3 if _is_face_indices(element, p) else _plausible(first, element, p)
-            column += lengths[p.name]
-        column += 1
-    return lengths
-
-
-def _plausible(length: int, element: PlyElement, prop: PlyProperty) -> int:
-    if not 0 <= length <= 4096:
-        raise MeshError(f"list '{prop.name}' of {element.name} 0 has length {length}", DAMAGED_HINT)
-    return length
-
-
-def record_fields(element: PlyElement, lengths: Mapping[str, int], order: str) -> list[Any]:
-    """Returns numpy's fields of an element's records in a file: its properties, and "NAME length" before a list."""
-    fields: list[Any] = []
-    for p in element.properties:
-        if p.count_dtype:
-            fields.append((f"{p.name} length", order + p.count_dtype))
-            fields.append((p.name, order + p.dtype, (lengths[p.name],)))
-        else:
-            fields.append((p.name, order + p.dtype))
-    return fields
-
-
-def _check_lengths(element: PlyElement, lengths: Mapping[str, int], counts: Columns) -> None:
-    """Raises for the first record whose lists are not as long as the first record's.
-
-    All records before it were read at their true place, so its number is right; records after it are not.
-    """
-    first_bad: tuple[int, PlyProperty, int] | None = None
-    for p in element.properties:
-        if p.count_dtype is None:
-            continue
-        column = counts[f"{p.name} length"]
-        wrong = np.flatnonzero(column != lengths[p.name])
-        if len(wrong) and (first_bad is None or wrong[0] < first_bad[0]):
-            first_bad = (int(wrong[0]), p, int(column[wrong[0]]))
-    if first_bad is None:
-        return
-    record, prop, length = first_bad
-    if _is_face_indices(element, prop):
-        raise polygon_error(record, length)
-    raise MeshError(
-        f"list '{prop.name}' has {lengths[prop.name]} values in {element.name} 0 and {length} in "
-        f"{element.name} {record}",
-        "write the mesh without that property, for example with MeshLab",
-    )
 
 
 def write_ply(mesh: ParsedMesh, *, float64: bool, comments: Sequence[str] = ()) -> bytes:

@@ -20,7 +20,7 @@ from gcnd.formats.parsed import (
 )
 from gcnd.formats.ply_header import PlyElement
 
-__all__ = ["RaggedLayout", "layout_binary", "layout_text", "read_ragged", "take_polygons"]
+__all__ = ["RaggedLayout", "keep_even_lists", "layout_binary", "layout_text", "read_ragged", "take_polygons"]
 
 _LONGEST = 4096
 """Of a list: what is longer is taken for damage, as elsewhere in PLY files."""
@@ -104,14 +104,14 @@ def read_ragged(
 def layout_text(numbers: NDArray[np.float64], start: int, element: PlyElement) -> RaggedLayout:
     """Finds the values of an element among the numbers of a text file; see `layout_binary`."""
     ones = {p.name: 1 for p in element.properties}
-    return _layout(start, len(numbers), element, lambda place, _: int(numbers[place]), ones, ones)
+    return _layout(start, len(numbers), element, lambda place, _: float(numbers[place]), ones, ones)
 
 
 def _layout(
     start: int,
     end: int,
     element: PlyElement,
-    length_at: Callable[[int, str], int],
+    length_at: Callable[[int, str], float],
     sizes: dict[str, int],
     count_sizes: dict[str, int],
 ) -> RaggedLayout:
@@ -124,11 +124,12 @@ def _layout(
             if p.count_dtype:
                 if place + count_sizes[p.name] > end:
                     raise truncated_error(f"{element.name} records", element.count, record)
-                length = length_at(place, p.count_dtype)
-                if not 0 <= length <= _LONGEST:
+                found = length_at(place, p.count_dtype)
+                if not 0 <= found <= _LONGEST or found != int(found):
                     raise MeshError(
-                        f"list '{p.name}' of {element.name} {record} has length {length}", DAMAGED_HINT
+                        f"list '{p.name}' of {element.name} {record} has length {found:g}", DAMAGED_HINT
                     )
+                length = int(found)
                 lengths[p.name].append(length)
                 place += count_sizes[p.name]
             places[p.name].append(place)
@@ -164,13 +165,29 @@ def take_polygons(
     corners, parsed.polygons = triangles_of(parsed.vertices, ids, lengths)
     parsed.faces = ids[corners]
     owner = np.arange(len(lengths)) if parsed.polygons is None else parsed.polygons.owner
-    for name in [name for name in face if not name.endswith(" length")]:
-        own_lengths = face.pop(f"{name} length", None)
-        if own_lengths is None:
-            face[name] = face[name][owner]
-        elif name == "texcoord" and np.array_equal(own_lengths, 2 * lengths):
-            face[name] = face[name].reshape(-1, 2)[corners].reshape(-1, 6)
-        elif len(own_lengths) and (own_lengths == own_lengths[0]).all():
-            face[name] = face[name].reshape(len(lengths), -1)[owner]
+    uv_lengths = face.get("texcoord length")
+    if uv_lengths is not None and np.array_equal(uv_lengths, 2 * lengths):
+        del face["texcoord length"]
+        by_corner = face["texcoord"].reshape(-1, 2)[corners].reshape(-1, 6)
+    else:
+        by_corner = None
+    keep_even_lists(face)
+    for name in face:
+        face[name] = by_corner if name == "texcoord" and by_corner is not None else face[name][owner]
+
+
+def keep_even_lists(columns: dict[str, NDArray[Any]]) -> None:
+    """Makes each list of values that `read_ragged` has read a table (n, k), in place; others fall away.
+
+    Args:
+        columns: Values by property, with "NAME length" (n,) of lists; afterwards without these, and without lists of
+            which not all are as long.
+    """
+    for name in [name for name in columns if not name.endswith(" length")]:
+        lengths = columns.pop(f"{name} length", None)
+        if lengths is None:
+            continue
+        if len(lengths) and (lengths == lengths[0]).all():
+            columns[name] = columns[name].reshape(len(lengths), -1)
         else:
-            del face[name]
+            del columns[name]

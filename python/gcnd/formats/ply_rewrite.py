@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gcnd.formats.ply import first_lengths_binary, first_lengths_text, has_face_indices, record_fields
 from gcnd.formats.ply_header import PlyElement, parse_header
 from gcnd.formats.ply_ragged import layout_binary, layout_text
+from gcnd.formats.ply_uniform import has_face_indices, uniform_numbers, uniform_rows
 from gcnd.meshes.normals import Motion
 
 __all__ = ["rewrite_ply"]
@@ -39,12 +39,12 @@ def rewrite_ply(data: bytes, motion: Motion) -> bytes | None:
     changed = bytearray(data)
     start = header.data_start
     for element in header.elements:
-        if motion.polygons is not None and has_face_indices(element):
-            start = _rewrite_polygons(changed, start, element, header.byte_order, motion)
+        is_split = motion.polygons is not None and has_face_indices(element)
+        found = None if is_split else uniform_rows(data, start, element, header.byte_order)
+        if found is None:
+            start = _rewrite_ragged(data, changed, start, element, header.byte_order, motion)
             continue
-        lengths = first_lengths_binary(data, start, element, header.byte_order)
-        record = np.dtype(record_fields(element, lengths, header.byte_order))
-        rows = np.ndarray((element.count,), dtype=record, buffer=changed, offset=start)
+        rows = np.ndarray((element.count,), dtype=found.dtype, buffer=changed, offset=start)
         old = {name: rows[name] for name in rows.dtype.names or ()}
         for name, (is_new, column) in _new_columns(element, old, motion).items():
             rows[name][is_new] = column[is_new]
@@ -52,20 +52,22 @@ def rewrite_ply(data: bytes, motion: Motion) -> bytes | None:
     return bytes(changed)
 
 
-def _rewrite_polygons(changed: bytearray, start: int, element: PlyElement, order: str, motion: Motion) -> int:
-    """Puts new normals into faces of any number of corners; returns where they end."""
-    layout = layout_binary(bytes(changed), start, element, order)
+def _rewrite_ragged(
+    data: bytes, changed: bytearray, start: int, element: PlyElement, order: str, motion: Motion
+) -> int:
+    """Puts new values into records of any lengths; returns where they end."""
+    layout = layout_binary(data, start, element, order)
+    raw = np.frombuffer(changed, np.uint8)
     dtypes = {p.name: np.dtype(order + p.dtype) for p in element.properties if p.count_dtype is None}
-    old = {
-        name: np.array([np.frombuffer(changed, dtype, 1, place)[0] for place in layout.places[name].tolist()])
-        for name, dtype in dtypes.items()
-        if name in _NORMAL
+    places = {
+        name: layout.places[name][:, None] + np.arange(dtypes[name].itemsize)
+        for name in (*_POSITION, *_NORMAL)
+        if name in dtypes
     }
+    old = {name: np.ascontiguousarray(raw[p]).view(dtypes[name]).reshape(-1) for name, p in places.items()}
     for name, (is_new, values) in _new_columns(element, old, motion).items():
-        for row in np.flatnonzero(is_new).tolist():
-            # An array: a number alone would forget its byte order.
-            place, number = int(layout.places[name][row]), np.array([values[row]], dtype=dtypes[name])
-            changed[place : place + number.itemsize] = number.tobytes()
+        numbers = np.ascontiguousarray(values[is_new], dtype=dtypes[name])
+        raw[places[name][is_new]] = numbers.view(np.uint8).reshape(len(numbers), numbers.itemsize)
     return layout.end
 
 
@@ -93,28 +95,21 @@ def _rewrite_text(data: bytes, elements: list[PlyElement], start: int, motion: M
     changes: dict[int, float] = {}
     first = 0
     for element in elements:
-        if motion.polygons is not None and has_face_indices(element):
+        is_split = motion.polygons is not None and has_face_indices(element)
+        table = None if is_split else uniform_numbers(numbers, first, element)
+        if table is None:
             layout = layout_text(numbers, first, element)
-            names = [p.name for p in element.properties if p.count_dtype is None and p.name in _NORMAL]
-            own = {name: numbers[layout.places[name]] for name in names}
-            for name, (is_new, values) in _new_columns(element, own, motion).items():
-                for row in np.flatnonzero(is_new).tolist():
-                    changes[int(layout.places[name][row])] = float(values[row])
-            first = layout.end
-            continue
-        lengths = first_lengths_text(numbers[first:], element)
-        width = sum(1 + lengths.get(p.name, 0) for p in element.properties)
-        rows = numbers[first : first + element.count * width].reshape(element.count, width)
-        column_of: dict[str, int] = {}
-        column = 0
-        for p in element.properties:
-            column_of[p.name] = column
-            column += 1 + lengths.get(p.name, 0)
-        old = {name: rows[:, index] for name, index in column_of.items()}
+            places, first = layout.places, layout.end
+        else:
+            rows, column_of = table
+            starts = first + rows.shape[1] * np.arange(len(rows))
+            places = {name: starts + column for name, column in column_of.items() if isinstance(column, int)}
+            first += rows.size
+        names = [p.name for p in element.properties if p.count_dtype is None]
+        old = {name: numbers[places[name]] for name in names if name in (*_POSITION, *_NORMAL)}
         for name, (is_new, values) in _new_columns(element, old, motion).items():
-            for row in np.flatnonzero(is_new).tolist():
-                changes[first + row * width + column_of[name]] = float(values[row])
-        first += element.count * width
+            words = places[name][is_new].tolist()
+            changes |= dict(zip(words, values[is_new].tolist(), strict=True))
     pieces, end = [data[:start]], 0
     for word in sorted(changes):
         a, b = spans[word]
