@@ -158,13 +158,13 @@ def save(mesh: Any, path: MeshPath, *, like: MeshPath | None = None) -> None:
 
 
 def _written_again(mesh: Any, source: Path, path: Path) -> dict[Path, bytes] | None:
-    """Contents by path, as `encode` has them, of the file written again; None if the format cannot hold it."""
+    """Contents by path, as `encode` has them, of the file written again; None in another format."""
     if source.suffix.lower() != path.suffix.lower():
         return None
     extension = _known_extension(path)
     arrays, _ = to_arrays(mesh)
 
-    def change(data: bytes) -> tuple[bytes, bytes | None]:
+    def change(data: bytes) -> tuple[bytes, bytes]:
         parsed = read_glb_shape(data) if extension == ".glb" else _parsed(data, extension, triangulate=True)
         if len(parsed.vertices) != len(arrays.vertices) or not np.array_equal(parsed.faces, arrays.faces):
             raise MeshError("it has other faces than the mesh", "name the file that the mesh was read from")
@@ -175,7 +175,7 @@ def _written_again(mesh: Any, source: Path, path: Path) -> dict[Path, bytes] | N
         return data, rewrite(data, extension, motion)
 
     data, changed = _read(source, change)
-    return None if changed is None else {**copies_of_referred(data, source, path), path: changed}
+    return {**copies_of_referred(data, source, path), path: changed}
 
 
 def check_output_path(path: MeshPath, *others: MeshPath, is_mesh: bool = True) -> None:

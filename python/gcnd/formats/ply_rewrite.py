@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gcnd.formats.ply_header import PlyElement, parse_header
 from gcnd.formats.ply_ragged import layout_binary, layout_text
+from gcnd.formats.ply_real import with_real_positions
 from gcnd.formats.ply_uniform import has_face_indices, uniform_numbers, uniform_rows
 from gcnd.meshes.normals import Motion
 
@@ -20,7 +21,7 @@ _POSITION, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 Column = NDArray[Any]
 
 
-def rewrite_ply(data: bytes, motion: Motion) -> bytes | None:
+def rewrite_ply(data: bytes, motion: Motion) -> bytes:
     """Writes a PLY file again with moved vertices, and with new normals of vertices and faces where it has them.
 
     Args:
@@ -28,12 +29,10 @@ def rewrite_ply(data: bytes, motion: Motion) -> bytes | None:
         motion: Of the file's own vertices and faces.
 
     Returns:
-        The whole file, or None where it keeps positions as whole numbers.
+        The whole file; positions that were whole numbers have the type `float` or `double`, if any vertex moved.
     """
+    data = with_real_positions(data, motion)
     header = parse_header(data)
-    columns = [p for e in header.elements if e.name == "vertex" for p in e.properties]
-    if any(p.dtype[0] != "f" for p in columns if p.name in _POSITION):
-        return None
     if header.byte_order is None:
         return _rewrite_text(data, header.elements, header.data_start, motion)
     changed = bytearray(data)

@@ -19,7 +19,7 @@ __all__ = ["BYTE_ORDER_MARK", "rewrite"]
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
-Rewriter: TypeAlias = Callable[[bytes, Motion], "bytes | None"]
+Rewriter: TypeAlias = Callable[[bytes, Motion], bytes]
 
 _REWRITERS: Mapping[str, Rewriter] = {
     ".ply": rewrite_ply,
@@ -30,7 +30,7 @@ _REWRITERS: Mapping[str, Rewriter] = {
 }
 
 
-def rewrite(data: bytes, extension: str, motion: Motion) -> bytes | None:
+def rewrite(data: bytes, extension: str, motion: Motion) -> bytes:
     """Writes a file again with moved vertices.
 
     Args:
@@ -39,8 +39,7 @@ def rewrite(data: bytes, extension: str, motion: Motion) -> bytes | None:
         motion: Of the file's own vertices and faces, without the copies that its reader makes at seams.
 
     Returns:
-        The whole file; None if its types cannot hold the positions, as whole numbers cannot.
+        The whole file.
     """
     mark = BYTE_ORDER_MARK if data.startswith(BYTE_ORDER_MARK) else b""
-    changed = _REWRITERS[extension](data[len(mark) :], motion)
-    return None if changed is None else mark + changed
+    return mark + _REWRITERS[extension](data[len(mark) :], motion)
