@@ -73,19 +73,19 @@ OUR_LATER_PATCH = replace(OUR_PATCH, first_normals=True)
 """After the first pass, what it took away can only be told by the mesh before it."""
 
 
-def _later(network: NetworkConfig) -> NetworkConfig:
-    """The same network for `OUR_LATER_PATCH`, with the last hidden layer four times as wide.
+def _later(network: NetworkConfig, wider: int = 4) -> NetworkConfig:
+    """The same network for `OUR_LATER_PATCH`, with the last hidden layer so many times as wide.
 
     Choice: docs/choices.md#node-head.
     """
     *heads, last = network.head_channels
-    return replace(network, in_channels=OUR_LATER_PATCH.n_channels, head_channels=(*heads, 4 * last))
+    return replace(network, in_channels=OUR_LATER_PATCH.n_channels, head_channels=(*heads, wider * last))
 
 
-def _default(*steps: int) -> Recipe:
+def _default(*steps: int, wider: int = 4) -> Recipe:
     """The first stage is covered more thinly: what it misses, the second still sees."""
     first = StageConfig(DEFAULT_NETWORK, OUR_PATCH, coverage=1.0)
-    second = StageConfig(_later(DEFAULT_NETWORK), OUR_LATER_PATCH, passes=2, coverage=2.0)
+    second = StageConfig(_later(DEFAULT_NETWORK, wider), OUR_LATER_PATCH, passes=2, coverage=2.0)
     return Recipe(
         "default",
         "patch network with a normal for every node, two stages, the second run twice",
@@ -118,7 +118,7 @@ def _fast(*steps: int) -> Recipe:
 
 SCAN_PATCH = {"patch_scale": 8.0, "n_nodes": 256, "first_normals": False}
 """As wide as the paper's for scans, since a scanner's noise is as wide as several faces; the normals before the first
-pass gain nothing there.
+pass gain nothing there, nor does a wider head.
 
 Choice: docs/choices.md#scan-patches."""
 
@@ -144,7 +144,7 @@ def _on_scans(recipe: Recipe, patch: dict[str, Any], **training: Any) -> Recipe:
 def _scan(*steps: int) -> Recipe:
     """The default's networks on simulated scans."""
     return replace(
-        _on_scans(_default(*steps), SCAN_PATCH, batch=64, lr=1e-3),
+        _on_scans(_default(*steps, wider=1), SCAN_PATCH, batch=64, lr=1e-3),
         name="scan",
         description="wide patches, trained on simulated depth-camera frames, fused frames and scanned prints",
         pool_size=160,
