@@ -151,7 +151,8 @@ def save(mesh: Any, path: MeshPath, *, like: MeshPath | None = None) -> None:
         mesh = trimesh.Trimesh(arrays.vertices, arrays.faces.astype(np.int64), process=False)
     try:
         for name, data in (files or encode(mesh, path)).items():
-            name.parent.mkdir(parents=True, exist_ok=True)
+            if name != path:
+                name.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(name, data)
     except OSError as error:
         raise MeshError(f"cannot write {path}: {error.strerror or error}", write_hint(error)) from error
