@@ -8,7 +8,7 @@ from typing import Any
 from gcnd.errors import Cancelled, ConfigError, GcndError
 from gcnd.many import Job, Outcome, Wanted, run_job
 from gcnd.runs import Method
-from gcnd.stages import Progress
+from gcnd.stages import Progress, stops
 
 __all__ = ["run_on_ray"]
 
@@ -56,7 +56,7 @@ def run_on_ray(
                 failure = GcndError(f"its worker was lost: {type(error).__name__}")
                 outcomes[index] = Outcome(jobs[index].name, "failed", error=failure)
         told = f"{len(outcomes)} of {len(jobs)} done"
-        if progress is not None and progress(past / whole, told) is False:
+        if progress is not None and stops(progress(past / whole, told)):
             for task in waiting:
                 ray.cancel(task)
             raise Cancelled("cancelled")

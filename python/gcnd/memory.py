@@ -29,7 +29,14 @@ def available_bytes() -> int | None:
         used = int((_CGROUP / "memory.current").read_text(encoding="ascii"))
     except (OSError, ValueError):  # another system, or a group without a limit, which says "max"
         return free
-    return max(0, min(free, limit - used))
+    return max(0, min(free, limit - used + _cached_bytes()))
+
+
+def _cached_bytes() -> int:
+    """What the control group counts as used and gives back when it is needed: files that were read a while ago."""
+    path = _CGROUP / "memory.stat"
+    lines = path.read_text(encoding="ascii").splitlines() if path.is_file() else []
+    return next((int(line.split()[1]) for line in lines if line.startswith("inactive_file ")), 0)
 
 
 def needed_bytes(n_vertices: int, n_faces: int) -> int:

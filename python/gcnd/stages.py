@@ -10,10 +10,22 @@ import numpy as np
 
 from gcnd.errors import Cancelled, check_progress
 
-__all__ = ["Progress", "Stages"]
+__all__ = ["Progress", "Stages", "stops"]
 
 Progress: TypeAlias = Callable[[float, str], object]
 """Takes the fraction done, in [0, 1], and the stage at work; returning False stops the run."""
+
+
+def stops(answer: object) -> bool:
+    """Whether what a callback answered stops the run.
+
+    Not every falsy value does: tqdm's update and its like return None or counts.
+
+    Example:
+        >>> stops(False), stops(None), stops(0)
+        (True, False, False)
+    """
+    return isinstance(answer, bool | np.bool_) and not answer
 
 
 class Stages:
@@ -54,8 +66,7 @@ class Stages:
         self._stage, self._fraction, self._since = stage, fraction, now
         self.seconds.setdefault(stage, 0.0)
         answer = None if self._progress is None else self._progress(fraction, stage)
-        # Not every falsy value: tqdm's update and its like return None or counts.
-        if isinstance(answer, bool | np.bool_) and not answer:
+        if stops(answer):
             raise Cancelled(f"cancelled at {fraction:.0%}".replace("%", " %") + f", {stage}")
 
     def ask(self, *_: object) -> None:

@@ -172,6 +172,8 @@ def test_what_is_free_is_what_the_group_leaves(tmp_path: Path, monkeypatch: pyte
     assert memory.available_bytes() == 5000 * 1024
     (tmp_path / "memory.max").write_text("3000000\n")
     assert memory.available_bytes() == 2_000_000
+    (tmp_path / "memory.stat").write_text("anon 400000\ninactive_file 300000\nactive_file 100000\n")
+    assert memory.available_bytes() == 2_300_000
 
 
 def test_more_vertices_than_ids_are_refused() -> None:
