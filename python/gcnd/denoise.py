@@ -15,7 +15,7 @@ from gcnd import _geom
 from gcnd.auto import AUTO
 from gcnd.controls import Controls
 from gcnd.errors import check_progress
-from gcnd.predict import agreement, fast_precision, predict_normals, refined
+from gcnd.predict import agreement, fast_precision, predict_normals, refined, settle_threads
 from gcnd.stages import Progress, Stages
 from gcnd.start import Start
 
@@ -198,6 +198,7 @@ def clean_arrays(
 
     Paper: Fig. 2; Sec. 6 for what follows the last network.
     """
+    settle_threads()
     if vertex_iterations is None:
         vertex_iterations = cascade.config.vertex_iterations
     precision = precision or fast_precision(device)

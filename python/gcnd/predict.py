@@ -308,6 +308,15 @@ class PatchPredictor:
         return torch.cat([self._predicted(features[part], neighbors[part]) for part in parts])
 
 
+def settle_threads() -> None:
+    """Gives the calling thread torch's number of threads for good, before its first use of torch.
+
+    A thread takes it over from whoever set it last, and while another run starts its workers that is one.
+    """
+    with _STARTING:
+        torch.get_num_threads()
+
+
 def _one_thread() -> None:
     # A thread takes the process's number over when torch is first used in it, here and not after the next line.
     torch.get_num_threads()

@@ -188,8 +188,12 @@ def test_a_run_on_scans_learns_from_scans_of_the_shapes(
 def test_the_scan_recipe_is_the_defaults_networks_on_scans() -> None:
     scan, default = get_recipe("scan"), get_recipe("default")
     for ours, other in zip(scan.stages, default.stages, strict=True):
-        # But for the normals before the first pass, which gain nothing on scans.
-        network = replace(ours.stage.network, in_channels=other.stage.network.in_channels)
+        # But for the normals before the first pass and the wider head, which gain nothing on scans.
+        theirs = other.stage.network
+        assert ours.stage.network.head_channels == scan.stages[0].stage.network.head_channels
+        network = replace(
+            ours.stage.network, in_channels=theirs.in_channels, head_channels=theirs.head_channels
+        )
         assert replace(ours.stage, patch=other.stage.patch, network=network) == other.stage
         assert ours.stage.patch.n_nodes * ours.batch == other.stage.patch.n_nodes * other.batch
         assert ours.stage.patch == replace(OUR_PATCH, patch_scale=8.0, n_nodes=256)
