@@ -1,7 +1,7 @@
 """The straight line: a noisy mesh in, a clean mesh out (paper Fig. 2).
 
 load → topology (once) → [patches → network → face normals → vertex update] per stage → refined normals at the
-last → save.
+last → detail back where the noise is weak → save.
 """
 
 from __future__ import annotations
