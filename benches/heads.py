@@ -149,7 +149,7 @@ def patches_with_displacements(
     source: VertexSource, patch: PatchConfig, count: int, config: ChunkConfig, rng: np.random.Generator
 ) -> Batch:
     """Stands in for what makes the patches of one mesh; the target is (P, N, 6), normals and displacements."""
-    shape, vertices, _ = source.draw(rng)
+    shape, vertices, *_ = source.draw(rng)
     extractor = make_extractor(shape.topology, vertices, patch, int(rng.integers(2**31)))
     patches = PatchArrays(count, patch)
     patches.fill(extractor, np.sort(pick_faces(shape, count, config.balance_ratio, rng)))
