@@ -29,13 +29,19 @@ def before_and_after(truth: Truth, level: float, cascade: Cascade) -> tuple[floa
     return tuple(normal_error(v, truth.vertices, truth.faces) for v in (noisy, denoised))  # type: ignore[return-value]
 
 
-def main() -> None:
-    """Measures and prints."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+def parser_of(text: str) -> argparse.ArgumentParser:
+    """The options of a bench that runs one preset on generated shapes and on a folder of meshes."""
+    parser = argparse.ArgumentParser(description=text.split("\n")[0])
     parser.add_argument("--preset", default="default")
     parser.add_argument("--procedural", type=int, default=6)
     parser.add_argument("--shapes", type=Path, default=Path("runs/shapes"))
     parser.add_argument("--meshes", type=Path)
+    return parser
+
+
+def main() -> None:
+    """Measures and prints."""
+    parser = parser_of(__doc__)
     parser.add_argument("--levels", type=float, nargs="+", default=LEVELS)
     options = parser.parse_args()
     cascade = load_cascade(options.preset)

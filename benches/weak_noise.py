@@ -9,13 +9,12 @@ kind of mesh and noise. DIR holds meshes by kind in subfolders.
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from accuracy import NOISE_SEED, Truth, clean_meshes
+from levels import parser_of
 
 from gcnd import _geom
 from gcnd.data.noise import add_noise
@@ -47,12 +46,7 @@ def three_errors(truth: Truth, noise: dict[str, Any], cascade: Cascade) -> list[
 
 def main() -> None:
     """Measures and prints."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--preset", default="default")
-    parser.add_argument("--procedural", type=int, default=6)
-    parser.add_argument("--shapes", type=Path, default=Path("runs/shapes"))
-    parser.add_argument("--meshes", type=Path)
-    options = parser.parse_args()
+    options = parser_of(__doc__).parse_args()
     cascade = load_cascade(options.preset)
     cascade.config = replace(cascade.config, keep_detail=False)
     errors: dict[str, dict[str, list[list[float]]]] = {name: {} for name in NOISES}

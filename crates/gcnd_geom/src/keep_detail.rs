@@ -3,6 +3,7 @@
 use crate::error::{Result, check_len};
 use crate::face_geometry::mean_edge_length;
 use crate::mesh::check_vertices;
+use crate::patch::quantile;
 use crate::topology::Topology;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -67,8 +68,7 @@ pub fn keep_detail(topology: &Topology, before: &[DVec3], after: &[DVec3]) -> Re
     averages.run(ROUNDS.0);
     let sizes: Vec<f64> = averages.of_vertices.iter().map(|mean| mean.y).collect();
     let mut seen: Vec<f64> = (0..sizes.len()).filter(has_faces).map(|vertex_id| sizes[vertex_id]).collect();
-    let rank = ((seen.len() - 1) as f64 * NOISE_SHARE) as usize;
-    let noise = *seen.select_nth_unstable_by(rank, f64::total_cmp).1;
+    let noise = quantile(&mut seen, NOISE_SHARE);
     averages.run(ROUNDS.1 - ROUNDS.0);
     let kept = |(vertex_id, (&a, &b)): (usize, (&DVec3, &DVec3))| match share(
         sizes[vertex_id],

@@ -34,6 +34,7 @@ pub use accumulator::NormalAccumulator;
 pub use classes::{FaceClass, classify_faces};
 pub use cover::Cover;
 pub use params::{Budget, PatchParams, Sheets, VotingRegion};
+pub(crate) use roughness::quantile;
 pub use roughness::{ROUGHNESS_QUANTILES, mesh_roughness};
 
 use crate::error::{GeomError, Result, check_len};

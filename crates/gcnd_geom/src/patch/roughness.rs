@@ -82,8 +82,8 @@ fn deviations(topology: &Topology, vertices: &[DVec3]) -> Vec<f64> {
     (0..vertices.len()).into_par_iter().filter(has_faces).map(deviation).collect()
 }
 
-/// The value that a share of all values lie below.
-fn quantile(values: &mut [f64], share: f64) -> f64 {
+/// The value that a share of all values lie below; there is at least one.
+pub(crate) fn quantile(values: &mut [f64], share: f64) -> f64 {
     let rank = ((values.len() - 1) as f64 * share) as usize;
     *values.select_nth_unstable_by(rank, f64::total_cmp).1
 }
