@@ -11,12 +11,14 @@ import trimesh
 from gcnd.data.shape_cache import kind_sequence, load_shapes, shape_path
 from gcnd.data.shapes import SHAPE_KINDS, Shape, ShapeKind, make_shape
 from gcnd.data.shapes_cad import FAMILIES as CAD_FAMILIES
+from gcnd.data.shapes_cad_edged import edge_cutter, edged_solid
 from gcnd.data.shapes_decimate import decimated, subdivided_from_coarse
 from gcnd.data.shapes_detail import RELIEFS
 from gcnd.data.shapes_field import SmoothNoise, iso_surface
 from gcnd.data.shapes_mesh import FACE_RANGE, edge_pairs, is_sound, subdivided, triangle_quality
 from gcnd.data.shapes_organic import FAMILIES as SMOOTH_FAMILIES
 from gcnd.data.shapes_organic import lattice_knot
+from gcnd.data.shapes_profiles import rectangle
 from gcnd.data.shapes_remesh import TriangleStyle, jittered, remeshed
 from gcnd.errors import ConfigError
 
@@ -54,14 +56,14 @@ def test_shape_has_unit_diagonal_around_the_origin(shape: Shape) -> None:
 
 def test_shape_has_few_slivers(shape: Shape) -> None:
     quality = triangle_quality(shape.vertices, shape.faces)
-    evenly_meshed = shape.kind == "cad" or "remeshed" in shape.name
+    evenly_meshed = shape.kind in ("cad", "edged") or "remeshed" in shape.name
     assert np.median(quality) > (0.75 if evenly_meshed else 0.2 if "lattice" in shape.name else 0.4)
     assert np.mean(quality < 0.1) <= (0.002 if evenly_meshed else 0.02)
 
 
 def test_kinds_differ_where_they_should(shape: Shape) -> None:
     found = angles(shape)
-    if shape.kind == "cad":
+    if shape.kind in ("cad", "edged"):
         assert np.mean(found > 30) > 0.003
         assert np.median(found) < 4
     elif shape.kind == "smooth":
@@ -84,6 +86,26 @@ def test_every_cad_family_gives_a_solid(family: str) -> None:
     solid = CAD_FAMILIES[family](np.random.default_rng(5))
     assert solid.volume() > 0
     assert solid.num_tri() > 0
+
+
+def test_a_cutter_takes_a_chamfer_off_every_edge_of_an_outline() -> None:
+    """By hand: 0.1 off the rim of a plate of 2 x 2 and of its hole of 1 x 1, mitred outward and inward corners alike."""
+    outline = rectangle(2.0, 2.0) - rectangle(1.0, 1.0)
+    cutter = edge_cutter(outline, np.array([[0.12, 0.02], [-0.02, 0.02], [-0.02, -0.12]]))
+    cut = outline.extrude(0.5) - cutter.translate((0.0, 0.0, 0.5))
+    # Half the width times the depth along the middle of what is cut, a third of the way in.
+    rim, hole = (0.005 * 4 * side for side in (2.0 - 2 * 0.1 / 3, 1.0 + 2 * 0.1 / 3))
+    assert outline.extrude(0.5).volume() - cut.volume() == pytest.approx(rim + hole, rel=1e-9)
+    assert cut.genus() == 1
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_an_edged_solid_is_closed_and_fits(seed: int) -> None:
+    _, solid = edged_solid(np.random.default_rng(seed))
+    assert solid.volume() > 0
+    assert len(solid.decompose()) == 1
+    low, high = np.array(solid.bounding_box()).reshape(2, 3)
+    assert 0.3 < (high - low).max() < 1.3
 
 
 @pytest.mark.parametrize("family", sorted(SMOOTH_FAMILIES))
@@ -231,7 +253,7 @@ def test_cache_reads_what_it_wrote(tmp_path: Path) -> None:
 
 def test_kinds_come_in_their_shares() -> None:
     sequence = kind_sequence(100, {"cad": 5, "smooth": 2, "feature": 3})
-    assert [sequence.count(kind) for kind in SHAPE_KINDS] == [50, 20, 30]
+    assert [sequence.count(kind) for kind in SHAPE_KINDS] == [50, 20, 30, 0]
     assert kind_sequence(30, {"cad": 5, "smooth": 2, "feature": 3}) == sequence[:30]
 
 

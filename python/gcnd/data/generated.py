@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gcnd.errors import GcndError
 
 if TYPE_CHECKING:
-    from gcnd.data.shapes import Shape
+    from gcnd.data.shapes import Shape, ShapeKind
 
 
-def load_generated(n: int, seed: int, folder: Path, *, hint: str) -> list[Shape]:
+def load_generated(
+    n: int, seed: int, folder: Path, *, hint: str, kinds: Mapping[ShapeKind, float] | None = None
+) -> list[Shape]:
     """Load ``n`` generated shapes from ``seed`` on, made and kept in ``folder`` where missing.
 
     Args:
@@ -19,6 +22,7 @@ def load_generated(n: int, seed: int, folder: Path, *, hint: str) -> list[Shape]
         seed: Of the first.
         folder: Keeps them.
         hint: What to do where they cannot be generated.
+        kinds: Share of each kind, or None for those of `load_shapes`.
 
     Raises:
         GcndError: What generates shapes is not installed.
@@ -29,7 +33,7 @@ def load_generated(n: int, seed: int, folder: Path, *, hint: str) -> list[Shape]
     """
     # Only who generates shapes needs what generates them.
     try:
-        from gcnd.data.shape_cache import load_shapes
+        from gcnd.data.shape_cache import DEFAULT_KINDS, load_shapes
     except ImportError as error:
         raise GcndError(f"procedural shapes need {error.name}", hint=hint) from error
-    return load_shapes(n, seed, folder)
+    return load_shapes(n, seed, folder, kinds=kinds or DEFAULT_KINDS)

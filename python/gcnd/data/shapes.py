@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+from manifold3d import Manifold
 
 from gcnd.data.noise import FaceArray, FloatArray, vertex_normals
 from gcnd.data.shapes_cad import cad_solid
+from gcnd.data.shapes_cad_edged import edged_solid
 from gcnd.data.shapes_decimate import decimated, subdivided_from_coarse
 from gcnd.data.shapes_detail import add_relief
 from gcnd.data.shapes_mesh import FACE_RANGE, edge_length_for, is_sound, normalised, subdivided
@@ -17,15 +19,17 @@ from gcnd.data.shapes_organic import lattice_knot, smooth_body
 from gcnd.data.shapes_remesh import TriangleStyle, draw_style, remeshed
 from gcnd.errors import ConfigError
 
-ShapeKind = Literal["cad", "smooth", "feature"]
-"""Machine parts, smooth bodies, and smooth bodies with fine relief: the paper's three groups."""
+ShapeKind = Literal["cad", "smooth", "feature", "edged"]
+"""Machine parts, smooth bodies, and smooth bodies with fine relief, the paper's three groups; and machine parts whose
+edges are chamfered, filleted or stepped."""
 
 SHAPE_KINDS: tuple[ShapeKind, ...] = get_args(ShapeKind)
 
 Made = tuple[str, FloatArray, FaceArray]
+Draw = Callable[[np.random.Generator], tuple[str, Manifold]]
 
 _CAD_FEATURE_ANGLE = 18.0
-_MAX_ATTEMPTS = 12
+_MAX_ATTEMPTS = 40
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,8 @@ class Shape:
 def make_shape(seed: int, kind: ShapeKind | None = None) -> Shape:
     """Return the procedural shape of a seed: 9 to 42 thousand faces, closed, oriented outward.
 
-    ``cad``: primitives and profiles joined and cut, sharp edges kept by the remeshing. ``smooth``: implicit and
+    ``cad``: primitives and profiles joined and cut, sharp edges kept by the remeshing. ``edged``: outlines extruded, with
+    chamfers, fillets and steps one triangle to a few wide. ``smooth``: implicit and
     parametric bodies. ``feature``: smooth bodies with relief of wavelengths from 2.5 to 16 edge lengths. Triangles are
     isotropic, graded or irregular; those of smooth and detailed bodies also thinned out by quadrics, subdivided from
     few, or split rectangles.
@@ -91,8 +96,8 @@ def _draw_face_count(rng: np.random.Generator) -> float:
     return float(np.exp(rng.uniform(np.log(1.25 * FACE_RANGE[0]), np.log(0.85 * FACE_RANGE[1]))))
 
 
-def _make_cad(rng: np.random.Generator) -> Made | None:
-    family, solid = cad_solid(rng)
+def _make_cad(rng: np.random.Generator, draw: Draw = cad_solid) -> Made | None:
+    family, solid = draw(rng)
     style = draw_style(rng, irregular=0.6)
     if style.noise > 0 or style.curvature > 0:
         # Wanted lengths are set at vertices, and a plane has none inside.
@@ -106,6 +111,10 @@ def _make_cad(rng: np.random.Generator) -> Made | None:
         rng, vertices, faces, n_faces=_draw_face_count(rng), feature_angle=_CAD_FEATURE_ANGLE, style=style
     )
     return (family, vertices, faces) if is_sound(vertices, faces) else None
+
+
+def _make_edged(rng: np.random.Generator) -> Made | None:
+    return _make_cad(rng, edged_solid)
 
 
 def _make_smooth(rng: np.random.Generator) -> Made | None:
@@ -169,4 +178,5 @@ _MAKERS: dict[ShapeKind, Callable[[np.random.Generator], Made | None]] = {
     "cad": _make_cad,
     "smooth": _make_smooth,
     "feature": _make_feature,
+    "edged": _make_edged,
 }

@@ -36,6 +36,12 @@ VALIDATION_NOISE = NoiseDraw("gaussian", 0.2, 0.0, 12345)
 MESH_WEIGHT = 4.0
 """A mesh that the user gave is drawn as often as this many generated ones of its kind, and so is each thinned form."""
 
+GENERATED_HINT = "pip install 'gcnd[train]', or give --pairs"
+"""What to do where shapes cannot be generated."""
+
+SHAPES_AN_EDGED_PART = 3
+"""For as many generated shapes there is one machine part with chamfers, fillets or steps."""
+
 BLENDED_WEIGHT = 0.6
 """A generated machine part with its edges blended is drawn as often as this many of those with sharp edges."""
 
@@ -78,7 +84,8 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
 
     Subfolders of ``mesh_folder`` named cad, smooth or feature give their meshes that kind; others are "feature". Meshes
     that are no machine parts are also learned from with fewer triangles, all of them also stretched and bent (see
-    `given_shapes`), generated machine parts also with their edges blended.
+    `given_shapes`), generated machine parts also with their edges blended; a machine part with chamfers, fillets or steps
+    is added for every `SHAPES_AN_EDGED_PART` shapes.
 
     Args:
         recipe: Says how many shapes, and from which seed on.
@@ -98,7 +105,8 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
         'cad'
     """
     shapes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder)
-    shapes += blended_parts(shapes) + _shapes_of_folder(mesh_folder)
+    shapes += blended_parts(shapes) + edged_parts(recipe.n_shapes // SHAPES_AN_EDGED_PART, recipe.seed, shape_folder)
+    shapes += _shapes_of_folder(mesh_folder)
     held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
     validation = [NoisyMesh.untouched(s, noisy_vertices(s, VALIDATION_NOISE)) for s in held_out]
     return Corpus(shapes, FreshNoise(shapes), validation)
@@ -110,8 +118,20 @@ def generated_shapes(n: int, seed: int, folder: Path) -> list[CleanShape]:
     Raises:
         GcndError: What generates shapes is not installed.
     """
-    shapes = load_generated(n, seed, folder, hint="pip install 'gcnd[train]', or give --pairs")
+    shapes = load_generated(n, seed, folder, hint=GENERATED_HINT)
     return [CleanShape(s.name, s.kind, s.vertices, s.faces) for s in shapes]
+
+
+def edged_parts(n: int, seed: int, folder: Path) -> list[CleanShape]:
+    """Loads ``n`` machine parts whose edges are chamfered, filleted or stepped, from ``seed`` on, as `generated_shapes`.
+
+    Raises:
+        GcndError: What generates shapes is not installed.
+
+    Choice: docs/choices.md#training-shapes.
+    """
+    shapes = load_generated(n, seed, folder, hint=GENERATED_HINT, kinds={"edged": 1.0})
+    return [CleanShape(s.name, "cad", s.vertices, s.faces) for s in shapes]
 
 
 def blended_parts(shapes: list[CleanShape]) -> list[CleanShape]:

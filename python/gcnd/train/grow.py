@@ -1,7 +1,8 @@
-"""Weights of one network as the start of a larger one that answers the same: more channels, a wider head."""
+"""Weights of one network as the start of a larger one that answers the same: more channels, wider layers."""
 
 from __future__ import annotations
 
+import operator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from gcnd.nn.networks import build_network
 
 if TYPE_CHECKING:
     from gcnd.nn.cascade import StageConfig
+    from gcnd.nn.networks import NetworkConfig
 
 Weights = dict[str, torch.Tensor]
 
@@ -23,8 +25,9 @@ _FIRST = ("trunk.static.0.center.weight", "trunk.static.0.neighbor.weight")
 def fits(given: StageConfig, wanted: StageConfig) -> bool:
     """Whether weights of one stage can start another.
 
-    Patches may be of another size and have more of `OPTIONAL_CHANNELS`, and the last hidden layer may be wider, but
-    not behind a spatial transformer; all else must be the same.
+    Patches may be of another size and have more of `OPTIONAL_CHANNELS`. The last graph layer, among whose outputs no
+    neighbours are looked for, the layer before pooling and the hidden layers of the head may be wider, in a network
+    that answers for every node; behind a spatial transformer nothing may. All else must be the same.
     """
     patch = replace(
         given.patch,
@@ -32,28 +35,41 @@ def fits(given: StageConfig, wanted: StageConfig) -> bool:
         n_nodes=wanted.patch.n_nodes,
         **{name: getattr(wanted.patch, name) for name in OPTIONAL_CHANNELS},
     )
-    heads = given.network.head_channels, wanted.network.head_channels
-    network = replace(given.network, in_channels=wanted.network.in_channels, head_channels=heads[1])
-    if patch != wanted.patch or network != wanted.network:
+    if patch != wanted.patch:
         return False
     if any(getattr(given.patch, name) > getattr(wanted.patch, name) for name in OPTIONAL_CHANNELS):
         return False
     if given.network == wanted.network:
         return True
-    same_channels = given.network.in_channels == wanted.network.in_channels
-    wider = min(map(len, heads)) > 1 and heads[0][:-1] == heads[1][:-1] and heads[0][-1] < heads[1][-1]
-    return (
-        not network.architecture.startswith("transformed")
-        and (same_channels or bool(network.static_channels))
-        and (heads[0] == heads[1] or (wider and network.predicts_nodes))
+    network = replace(given.network, in_channels=wanted.network.in_channels)
+    if network.architecture.startswith("transformed"):
+        return False
+    if network != given.network and not network.static_channels:
+        return False
+    return network == wanted.network or _is_wider(network, wanted.network)
+
+
+def _is_wider(given: NetworkConfig, wanted: NetworkConfig) -> bool:
+    """Whether a network for every node is another with no layer narrower, and some of those wider that may be."""
+    same = replace(
+        given,
+        dynamic_channels=(*given.dynamic_channels[:-1], *wanted.dynamic_channels[-1:]),
+        pool_channels=wanted.pool_channels,
+        head_channels=wanted.head_channels,
     )
+    widths = [
+        (*network.dynamic_channels, network.pool_channels, *network.head_channels)
+        for network in (given, wanted)
+    ]
+    no_narrower = len(widths[0]) == len(widths[1]) and all(map(operator.le, *widths))
+    return wanted.predicts_nodes and same == wanted and no_narrower
 
 
 def grown(state: Weights, given: StageConfig, wanted: StageConfig) -> Weights:
-    """Fits weights to a stage that may see more or have a wider last hidden layer.
+    """Fits weights to a stage that may see more or have wider layers.
 
-    Both networks answer the same: the weights of new channels are zero, and so are those by which new hidden nodes
-    count. What leads to the new nodes is drawn as in a fresh network, always the same.
+    Both networks answer the same: nothing that there was counts what is new. What leads to new nodes is drawn as in a
+    fresh network, always the same.
 
     Args:
         state: Weights of a network.
@@ -83,22 +99,33 @@ def grown(state: Weights, given: StageConfig, wanted: StageConfig) -> Weights:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         fresh = build_network(wanted.network).state_dict()
-    known = _known_channels(given, wanted)
-    out: Weights = {}
-    for name, old in state.items():
-        new = fresh[name].to(old)
-        if name in _FIRST and old.shape != new.shape:
-            new = new.zero_()
-            new[:, known] = old
-        elif name == "out.weight":
-            new = new.zero_()
-            new[:, : old.shape[1]] = old
-        elif old.dim() > 0:
-            new[: len(old)] = old
-        else:
-            new = old
-        out[name] = new
-    return out
+    pooled = torch.arange(wanted.network.pool_channels) < given.network.pool_channels
+    known = {"head_patch.weight": pooled.repeat(2)}
+    known |= dict.fromkeys(_FIRST, _known_channels(given, wanted))
+    return {name: _placed(old, fresh[name].to(old), known.get(name)) for name, old in state.items()}
+
+
+def _placed(old: torch.Tensor, fresh: torch.Tensor, known: torch.Tensor | None) -> torch.Tensor:
+    """Old values in their places among fresh ones.
+
+    Args:
+        old: (R, C), (R,) or ().
+        fresh: (R', C'), (R',) or (), no smaller.
+        known: (C',) of bool, which columns the old ones are; None for the first.
+
+    Returns:
+        As ``fresh``; the old rows hold zeros in new columns.
+    """
+    if old.dim() == 0:
+        return old
+    if old.dim() == 1:
+        fresh[: len(old)] = old
+        return fresh
+    if known is None:
+        known = torch.arange(fresh.shape[1]) < old.shape[1]
+    fresh[: len(old)] = 0.0
+    fresh[: len(old), known] = old
+    return fresh
 
 
 def _known_channels(given: StageConfig, wanted: StageConfig) -> torch.Tensor:

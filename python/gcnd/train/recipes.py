@@ -73,19 +73,32 @@ OUR_LATER_PATCH = replace(OUR_PATCH, first_normals=True)
 """After the first pass, what it took away can only be told by the mesh before it."""
 
 
-def _later(network: NetworkConfig, wider: int = 4) -> NetworkConfig:
-    """The same network for `OUR_LATER_PATCH`, with the last hidden layer so many times as wide.
+def _later(network: NetworkConfig) -> NetworkConfig:
+    """The same network for `OUR_LATER_PATCH`, with the last hidden layer four times as wide.
 
     Choice: docs/choices.md#node-head.
     """
     *heads, last = network.head_channels
-    return replace(network, in_channels=OUR_LATER_PATCH.n_channels, head_channels=(*heads, wider * last))
+    return replace(network, in_channels=OUR_LATER_PATCH.n_channels, head_channels=(*heads, 4 * last))
 
 
-def _default(*steps: int, wider: int = 4) -> Recipe:
+DEFAULT_LATER_NETWORK = replace(
+    DEFAULT_NETWORK,
+    dynamic_channels=(64, 64, 256),
+    pool_channels=256,
+    head_channels=(256, 256),
+)
+"""As `DEFAULT_NETWORK`, wider where no neighbours are looked for: in the last graph layer, before pooling and in the head.
+
+Choice: docs/choices.md#node-head.
+"""
+
+
+def _default(*steps: int, later: NetworkConfig = DEFAULT_LATER_NETWORK) -> Recipe:
     """The first stage is covered more thinly: what it misses, the second still sees."""
     first = StageConfig(DEFAULT_NETWORK, OUR_PATCH, coverage=1.0)
-    second = StageConfig(_later(DEFAULT_NETWORK, wider), OUR_LATER_PATCH, passes=2, coverage=2.0)
+    later = replace(later, in_channels=OUR_LATER_PATCH.n_channels)
+    second = StageConfig(later, OUR_LATER_PATCH, passes=2, coverage=2.0)
     return Recipe(
         "default",
         "patch network with a normal for every node, two stages, the second run twice",
@@ -142,9 +155,9 @@ def _on_scans(recipe: Recipe, patch: dict[str, Any], **training: Any) -> Recipe:
 
 
 def _scan(*steps: int) -> Recipe:
-    """The default's networks on simulated scans."""
+    """The default's first network in both stages, on simulated scans."""
     return replace(
-        _on_scans(_default(*steps, wider=1), SCAN_PATCH, batch=64, lr=1e-3),
+        _on_scans(_default(*steps, later=DEFAULT_NETWORK), SCAN_PATCH, batch=64, lr=1e-3),
         name="scan",
         description="wide patches, trained on simulated depth-camera frames, fused frames and scanned prints",
         pool_size=160,
