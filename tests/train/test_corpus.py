@@ -19,6 +19,7 @@ from gcnd.train import corpus as corpus_module
 from gcnd.train.corpus import (
     FEWEST_FACES,
     N_WARPED,
+    SHAPES_AN_EDGED_PART,
     WARPED_WEIGHT,
     generated_corpus,
     given_shapes,
@@ -44,18 +45,20 @@ def test_meshes_of_a_folder_are_added_by_kind(tmp_path: Path) -> None:
     save(box, tmp_path / "smooth" / "a.obj")
     save(box, tmp_path / "other" / "c.off")
     (tmp_path / "cad" / "notes.txt").write_text("no mesh", encoding="utf-8")
-    shapes = generated_corpus(RECIPE, tmp_path, tmp_path).shapes
+    recipe = replace(RECIPE, n_shapes=SHAPES_AN_EDGED_PART, seed=7)
+    shapes = generated_corpus(recipe, tmp_path, tmp_path).shapes
     shapes = [shape for shape in shapes if "warped" not in shape.name]
     assert [(s.name, s.kind) for s in shapes] == [
         ("sphere", "smooth"),
         ("cube", "cad"),
         ("cube, edges blended", "cad"),
+        ("edged 7", "cad"),
         ("b", "cad"),
         ("c", "feature"),
         ("a", "smooth"),
     ]
-    assert [s.draw_weight for s in shapes] == [1.0, 1.0, 0.6, 4.0, 4.0, 4.0]
-    assert np.array_equal(shapes[3].vertices, box.vertices)
+    assert [s.draw_weight for s in shapes] == [1.0, 1.0, 0.6, 1.0, 4.0, 4.0, 4.0]
+    assert np.array_equal(shapes[4].vertices, box.vertices)
     assert np.array_equal(shapes[2].vertices, blended(cube(4).vertices, cube(4).faces, 0.5))
     (tmp_path / "empty").mkdir()
     with pytest.raises(ConfigError, match=r"no mesh in .*empty"):
@@ -185,17 +188,14 @@ def test_a_run_on_scans_learns_from_scans_of_the_shapes(
         scanned_corpus(replace(recipe, n_scans=0), tmp_path, None, tmp_path / "scans")
 
 
-def test_the_scan_recipe_is_the_defaults_networks_on_scans() -> None:
+def test_the_scan_recipe_is_the_defaults_first_network_on_scans() -> None:
     scan, default = get_recipe("scan"), get_recipe("default")
+    theirs = default.stages[0].stage
     for ours, other in zip(scan.stages, default.stages, strict=True):
-        # But for the normals before the first pass and the wider head, which gain nothing on scans.
-        theirs = other.stage.network
-        assert ours.stage.network.head_channels == scan.stages[0].stage.network.head_channels
-        network = replace(
-            ours.stage.network, in_channels=theirs.in_channels, head_channels=theirs.head_channels
-        )
-        assert replace(ours.stage, patch=other.stage.patch, network=network) == other.stage
-        assert ours.stage.patch.n_nodes * ours.batch == other.stage.patch.n_nodes * other.batch
-        assert ours.stage.patch == replace(OUR_PATCH, patch_scale=8.0, n_nodes=256)
+        assert ours.stage.network == theirs.network
+        assert ours.stage.patch == replace(theirs.patch, patch_scale=8.0, n_nodes=256)
+        assert ours.stage.passes == other.stage.passes
+        assert ours.stage.patch.n_nodes * ours.batch == theirs.patch.n_nodes * other.batch
+    assert theirs.patch == OUR_PATCH
     assert (scan.data, default.data) == ("scans", "noise")
     assert scan.n_scans > 100

@@ -83,9 +83,19 @@ def test_weights_of_another_layout_are_refused(given: StageConfig, wanted: Stage
         grown(build_network(given.network).state_dict(), given, wanted)
 
 
-def test_a_wider_head_answers_the_same_and_learns_with_all_of_it() -> None:
-    first, last = STAGE.network.head_channels
-    wanted = replace(STAGE, network=replace(STAGE.network, head_channels=(first, 3 * last)))
+WIDER: list[dict[str, Any]] = [
+    {"head_channels": (12, 24)},
+    {"head_channels": (20, 8)},
+    {"pool_channels": 24},
+    {"dynamic_channels": (8, 20)},
+    {"dynamic_channels": (8, 20), "pool_channels": 24, "head_channels": (20, 24)},
+]
+"""What may be wider than in `STAGE`, whose layers are (8, 12), 16 and (12, 8)."""
+
+
+@pytest.mark.parametrize("wider", WIDER, ids=str)
+def test_wider_layers_answer_the_same_and_learn_with_all_of_them(wider: dict[str, Any]) -> None:
+    wanted = replace(STAGE, network=replace(STAGE.network, **wider))
     torch.manual_seed(5)
     narrow = build_network(STAGE.network)
     torch.nn.init.normal_(narrow.out.weight)
@@ -97,17 +107,40 @@ def test_a_wider_head_answers_the_same_and_learns_with_all_of_it() -> None:
     answered = wide.eval()(features, neighbors)
     assert torch.allclose(answered, narrow.eval()(features, neighbors), atol=1e-5)
     answered.square().sum().backward()
-    assert (wide.out.weight.grad[:, last:].abs().sum(dim=0) > 0).any()
+    for (name, grown_one), old in zip(wide.named_parameters(), narrow.parameters(), strict=True):
+        if grown_one.dim() == 2 and grown_one.shape[1] > old.shape[1]:
+            # What the old nodes have for new ones is zero, and is where these come in.
+            assert (grown_one[: len(old)] == 0).any(dim=0).sum() >= grown_one.shape[1] - old.shape[1], name
+            assert grown_one.grad is not None
+            assert grown_one.grad[: len(old)][grown_one[: len(old)] == 0].abs().sum() > 0, name
     # Drawn, and every time the same.
     again = grown(narrow.state_dict(), STAGE, wanted)
     assert all(torch.equal(again[name], weights[name]) for name in weights)
 
 
-def test_a_narrower_head_is_refused() -> None:
-    first, last = STAGE.network.head_channels
-    wanted = replace(STAGE, network=replace(STAGE.network, head_channels=(first, last - 1)))
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"head_channels": (12, 7)},
+        {"head_channels": (12, 8, 8)},
+        {"pool_channels": 15},
+        {"dynamic_channels": (8, 11)},
+        {"dynamic_channels": (9, 12)},
+        {"static_channels": (9,)},
+    ],
+    ids=str,
+)
+def test_layers_that_may_not_be_of_another_width_are_refused(other: dict[str, Any]) -> None:
+    wanted = replace(STAGE, network=replace(STAGE.network, **other))
     with pytest.raises(ConfigError, match="another layout"):
         grown(build_network(STAGE.network).state_dict(), STAGE, wanted)
+
+
+def test_a_network_for_the_centre_grows_no_wider() -> None:
+    given = replace(STAGE, network=replace(STAGE.network, architecture="centre"), coverage=None)
+    wanted = replace(given, network=replace(given.network, pool_channels=24))
+    with pytest.raises(ConfigError, match="another layout"):
+        grown(build_network(given.network).state_dict(), given, wanted)
 
 
 @pytest.mark.parametrize("patch", [replace(STAGE.patch, roughness=True), STAGE.patch], ids=["more", "same"])

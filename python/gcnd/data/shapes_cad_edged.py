@@ -95,7 +95,9 @@ def _edge_profile(rng: np.random.Generator, widest: float) -> Points:
     choice = rng.random()
     if choice < 0.6:
         slope = depth / width
-        return np.array([[width + beyond / slope, beyond], [-beyond, beyond], [-beyond, -depth - beyond * slope]])
+        return np.array(
+            [[width + beyond / slope, beyond], [-beyond, beyond], [-beyond, -depth - beyond * slope]]
+        )
     if choice < 0.85:
         angle = np.linspace(np.pi, np.pi / 2, 13)
         arc = np.stack([width * (1 + np.cos(angle)), width * (np.sin(angle) - 1)], axis=1)

@@ -105,7 +105,9 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
         'cad'
     """
     shapes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder)
-    shapes += blended_parts(shapes) + edged_parts(recipe.n_shapes // SHAPES_AN_EDGED_PART, recipe.seed, shape_folder)
+    shapes += blended_parts(shapes) + edged_parts(
+        recipe.n_shapes // SHAPES_AN_EDGED_PART, recipe.seed, shape_folder
+    )
     shapes += _shapes_of_folder(mesh_folder)
     held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
     validation = [NoisyMesh.untouched(s, noisy_vertices(s, VALIDATION_NOISE)) for s in held_out]
