@@ -89,7 +89,7 @@ def test_every_cad_family_gives_a_solid(family: str) -> None:
 
 
 def test_a_cutter_takes_a_chamfer_off_every_edge_of_an_outline() -> None:
-    """By hand: 0.1 off the rim of a plate of 2 x 2 and of its hole of 1 x 1, mitred outward and inward corners alike."""
+    """By hand: 0.1 off the rim of a plate of 2 x 2 and of its hole of 1 x 1, corners mitred either way."""
     outline = rectangle(2.0, 2.0) - rectangle(1.0, 1.0)
     cutter = edge_cutter(outline, np.array([[0.12, 0.02], [-0.02, 0.02], [-0.02, -0.12]]))
     cut = outline.extrude(0.5) - cutter.translate((0.0, 0.0, 0.5))

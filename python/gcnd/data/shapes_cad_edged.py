@@ -1,4 +1,4 @@
-"""Machine parts as they are drawn: extruded outlines whose edges are chamfered, filleted or stepped along their length."""
+"""Machine parts as they are drawn: extruded outlines whose edges are chamfered, filleted or stepped."""
 
 from __future__ import annotations
 

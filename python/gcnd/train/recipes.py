@@ -88,7 +88,9 @@ DEFAULT_LATER_NETWORK = replace(
     pool_channels=256,
     head_channels=(256, 256),
 )
-"""As `DEFAULT_NETWORK`, wider where no neighbours are looked for: in the last graph layer, before pooling and in the head.
+"""As `DEFAULT_NETWORK`, but wider in the last graph layer, before pooling and in the head.
+
+No neighbours are looked for among what these answer.
 
 Choice: docs/choices.md#node-head.
 """
