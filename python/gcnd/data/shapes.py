@@ -52,8 +52,8 @@ class Shape:
 def make_shape(seed: int, kind: ShapeKind | None = None) -> Shape:
     """Return the procedural shape of a seed: 9 to 42 thousand faces, closed, oriented outward.
 
-    ``cad``: primitives and profiles joined and cut, sharp edges kept by the remeshing. ``edged``: extruded outlines with
-    chamfers, fillets and steps, one triangle to a few wide. ``smooth``: implicit and
+    ``cad``: primitives and profiles joined and cut, sharp edges kept by the remeshing. ``edged``: extruded outlines
+    with chamfers, fillets and steps, one triangle to a few wide. ``smooth``: implicit and
     parametric bodies. ``feature``: smooth bodies with relief of wavelengths from 2.5 to 16 edge lengths. Triangles are
     isotropic, graded or irregular; those of smooth and detailed bodies also thinned out by quadrics, subdivided from
     few, or split rectangles.

@@ -84,8 +84,8 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
 
     Subfolders of ``mesh_folder`` named cad, smooth or feature give their meshes that kind; others are "feature". Meshes
     that are no machine parts are also learned from with fewer triangles, all of them also stretched and bent (see
-    `given_shapes`), generated machine parts also with their edges blended; for every `SHAPES_AN_EDGED_PART` shapes there is a
-    machine part with chamfers, fillets or steps besides.
+    `given_shapes`), generated machine parts also with their edges blended; for every `SHAPES_AN_EDGED_PART` shapes
+    there is a machine part with chamfers, fillets or steps besides.
 
     Args:
         recipe: Says how many shapes, and from which seed on.
