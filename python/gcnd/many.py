@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-import numpy as np
-
 from gcnd.errors import Cancelled, ConfigError, GcndError, check_progress
 from gcnd.formats.atomic import write_hint
-from gcnd.formats.referred import check_copies
-from gcnd.mesh_io import SUPPORTED, check_output_path, load, save
+from gcnd.mesh_io import SUPPORTED, check_output_path
+from gcnd.results import check_confidence_path, load_source, write_denoised
 from gcnd.runs import Denoised, Method
 from gcnd.stages import Progress
 
@@ -23,12 +21,9 @@ __all__ = [
     "Job",
     "Outcome",
     "Wanted",
-    "check_confidence_path",
-    "check_polygons_path",
     "denoise_many",
     "mesh_files",
     "run_job",
-    "write_denoised",
 ]
 
 Folder: TypeAlias = "str | os.PathLike[str]"
@@ -172,61 +167,6 @@ def mesh_files(folder: Path, without: Path | None = None) -> list[Path]:
     return found
 
 
-def write_denoised(
-    done: Denoised, path: Path, *, source: Path | None = None, confidence: bool = False
-) -> None:
-    """Writes a result that was read from a file, with its confidence as the face attribute ``confidence``.
-
-    Args:
-        done: What was found.
-        path: Where to write.
-        source: The file it was read from: of the same format, only its positions and normals change. Not with the
-            confidence, for which the file is made anew.
-        confidence: Whether to write the confidence.
-
-    Raises:
-        MeshError: The file cannot be written.
-        ConfigError: See `check_confidence_path`; or there is no confidence.
-    """
-    mesh = done.mesh
-    if confidence:
-        check_confidence_path(path)
-        if done.confidence is None:
-            raise ConfigError("there is no confidence: nothing was predicted more than once")
-        mesh = mesh.copy()
-        mesh.face_attributes["confidence"] = done.confidence.astype(np.float32)
-    save(mesh, path, like=None if confidence else source)
-
-
-def check_confidence_path(path: Path) -> None:
-    """Raises ``ConfigError`` where a format has no place for values by face."""
-    if path.suffix.lower() != ".ply":
-        raise ConfigError(f"{path}: only .ply holds a confidence by face", "name an output that ends in .ply")
-
-
-def check_polygons_path(mesh: Any, source: Path, path: Path, confidence: bool = False) -> None:
-    """Checks that faces split for the work can be written whole again, before any long work.
-
-    Args:
-        mesh: As `load` returns it.
-        source: The file it was read from.
-        path: Where the result will be written.
-        confidence: Whether the result gets a confidence by face, for which its file is made anew.
-
-    Raises:
-        ConfigError: They cannot.
-    """
-    if "polygons" not in mesh.metadata:
-        return
-    if source.suffix.lower() != path.suffix.lower():
-        raise ConfigError(
-            f"{path}: faces of more than three corners stay whole only in a file of the input's format",
-            f"name an output that ends in {source.suffix}",
-        )
-    if confidence:
-        raise ConfigError("a confidence by face is for triangles, and the mesh has other faces")
-
-
 def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[Job]:
     if isinstance(meshes, str | os.PathLike):
         folder = Path(meshes)
@@ -304,11 +244,9 @@ def run_job(job: Job, denoiser: Method, wanted: Wanted, progress: Progress) -> O
             check_confidence_path(job.output)
         _make_folder(job.output.parent)
         check_output_path(job.output, job.mesh)
-        is_same = job.output.suffix.lower() == job.mesh.suffix.lower()
-        mesh = load(job.mesh, shape_only=is_same, triangulate=denoiser.triangulate)
-        check_polygons_path(mesh, job.mesh, job.output, wanted.confidence)
-        if not wanted.confidence:
-            check_copies(job.mesh, job.output)
+        mesh = load_source(
+            job.mesh, job.output, triangulate=denoiser.triangulate, confidence=wanted.confidence
+        )
         done = denoiser.run(mesh, progress=progress)
         write_denoised(done, job.output, source=job.mesh, confidence=wanted.confidence)
         return _done(job, started, done, wanted, output=job.output)

@@ -31,14 +31,14 @@ from gcnd.formats.rewrite import BYTE_ORDER_MARK, rewrite
 from gcnd.formats.scene import merge_scene
 from gcnd.formats.stl import read_stl
 from gcnd.memory import available_bytes
-from gcnd.meshes.arrays import MeshArrays, checked
+from gcnd.meshes.arrays import MeshArrays, Shape, checked
 from gcnd.meshes.normals import Motion
 from gcnd.meshes.registry import take_apart
 
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["SUPPORTED", "MeshArrays", "check_output_path", "load", "save", "to_arrays"]
+__all__ = ["SUPPORTED", "MeshArrays", "Shape", "check_output_path", "load", "read_shape", "save", "to_arrays"]
 
 MeshPath: TypeAlias = "str | os.PathLike[str]"
 Result = TypeVar("Result")
@@ -87,6 +87,36 @@ def to_arrays(mesh: Any, *, triangulate: bool = False) -> tuple[MeshArrays, Call
     taken = take_apart(mesh, triangulate=triangulate)
     arrays = checked(taken.vertices, taken.faces)
     return arrays, lambda vertices: taken.rebuild(_same_shape(vertices, arrays))
+
+
+def read_shape(mesh: Any) -> Shape:
+    """Takes the shape of any accepted mesh, to be looked at and not to be put together again.
+
+    Nothing is refused that only a result could not hold: the meshes of a .glb scene may differ in materials, colours
+    and attributes, and faces may have more than three corners. Vertices and triangles are those of `to_arrays`.
+
+    Args:
+        mesh: As `to_arrays` takes it.
+
+    Returns:
+        Its arrays; its faces of more than three corners, split into triangles; and its attributes by face, which a file
+        or a Trimesh has.
+
+    Raises:
+        MeshError: As `to_arrays` does.
+
+    Example:
+        >>> square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+        >>> shape = read_shape((square, [[0, 1, 2, 3]]))
+        >>> shape.n_faces, shape.arrays.faces.tolist()
+        (1, [[0, 1, 2], [0, 2, 3]])
+    """
+    if isinstance(mesh, str | os.PathLike):
+        path = Path(mesh)
+        return _read(path, lambda data: _shape_of(data, path))
+    taken = take_apart(mesh, triangulate=True)
+    attributes = getattr(mesh, "face_attributes", {})
+    return Shape(checked(taken.vertices, taken.faces), taken.polygons, attributes)
 
 
 def load(path: MeshPath, *, shape_only: bool = False, triangulate: bool = False) -> trimesh.Trimesh:
@@ -257,6 +287,16 @@ def _built(data: bytes, path: Path, shape_only: bool, triangulate: bool) -> trim
     else:
         parsed = _parsed(data, extension, triangulate)
     return _build(parsed, checked(parsed.vertices, parsed.faces), material, path)
+
+
+def _shape_of(data: bytes, path: Path) -> Shape:
+    extension = path.suffix.lower()
+    if extension == ".glb":
+        check_glb(data)
+        parsed = read_glb_shape(data, resolver_beside(path.absolute().parent).get)
+    else:
+        parsed = _parsed(data, extension, triangulate=True)
+    return Shape(checked(parsed.vertices, parsed.faces), parsed.polygons, parsed.face_attributes)
 
 
 def _read_bytes(path: Path) -> bytes:

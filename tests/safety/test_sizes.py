@@ -147,6 +147,8 @@ def test_a_mesh_placed_a_million_times_is_foreseen(tmp_path: Path, monkeypatch: 
     assert len(load(tmp_path / "a.glb").faces) == 320
     with pytest.raises(MeshError, match=r"faces need about 0\.1 GB of memory, and 0\.0 GB are free"):
         load(tmp_path / "b.glb")
+    with pytest.raises(MeshError, match=r"faces need about 0\.1 GB of memory, and 0\.0 GB are free"):
+        load(tmp_path / "b.glb", shape_only=True)
 
 
 def test_memory_that_is_missing_is_told_before_the_work(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gcnd.cli.interrupt import nothing_to_lose
-from gcnd.cli.options import JsonFlag, Seed, print_json
+from gcnd.cli.options import JsonFlag, Seed, TriangulateFlag, print_json
 from gcnd.cli.progress import show_progress
 from gcnd.errors import ConfigError, MeshError
 
@@ -120,10 +120,7 @@ def run(
             show_default=False,
         ),
     ] = None,
-    triangulate: Annotated[
-        bool,
-        typer.Option("--triangulate", help="Split faces of more than three corners for the work."),
-    ] = False,
+    triangulate: TriangulateFlag = False,
     strength: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of the result: 0 keeps the input, 1 is all of it.")
     ] = 1.0,
@@ -210,9 +207,10 @@ def run(
 
 def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: bool, as_json: bool) -> None:
     with nothing_to_lose():
-        from gcnd.many import check_confidence_path, check_polygons_path, write_denoised
-        from gcnd.mesh_io import check_output_path, load
+        from gcnd.formats.referred import paths_of_referred
+        from gcnd.mesh_io import check_output_path
         from gcnd.report import write_report
+        from gcnd.results import check_confidence_path, load_source, write_denoised
 
         check_output_path(output_mesh, input_mesh)
         if request.confidence:
@@ -221,10 +219,12 @@ def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: b
             check_output_path(request.report, input_mesh, output_mesh, is_mesh=False)
         start = time.perf_counter()
         # Before torch, which takes seconds to import: a wrong file should be told at once.
-        is_same = input_mesh.suffix.lower() == output_mesh.suffix.lower()
-        mesh = load(input_mesh, shape_only=is_same, triangulate=request.triangulate)
-        check_polygons_path(mesh, input_mesh, output_mesh, request.confidence)
-        _check_referred(input_mesh, output_mesh, request)
+        mesh = load_source(
+            input_mesh, output_mesh, triangulate=request.triangulate, confidence=request.confidence
+        )
+        if request.report is not None:
+            referred = paths_of_referred(input_mesh, output_mesh)
+            check_output_path(request.report, *referred, is_mesh=False)
         method = request.method()
     loading = time.perf_counter() - start
     with show_progress(quiet=quiet) as progress:
@@ -253,17 +253,6 @@ def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: b
         if "why" in done.method:
             print(f"preset {done.method['preset']}: {done.method['why']}", file=sys.stderr)
         print(f"wrote {output_mesh}: {len(mesh.faces):,} faces in {seconds:.1f} s", file=sys.stderr)
-
-
-def _check_referred(input_mesh: Path, output_mesh: Path, request: Request) -> None:
-    """Checks that materials and textures can go along with the result, and that the report replaces none."""
-    from gcnd.formats.referred import check_copies, paths_of_referred
-    from gcnd.mesh_io import check_output_path
-
-    if not request.confidence:
-        check_copies(input_mesh, output_mesh)
-    if request.report is not None:
-        check_output_path(request.report, *paths_of_referred(input_mesh, output_mesh), is_mesh=False)
 
 
 def _filter_options(

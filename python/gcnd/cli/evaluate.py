@@ -22,12 +22,12 @@ def run(
     seed: Seed = 0,
 ) -> None:
     """Print the normal error E_a (degrees) and the vertex error E_v (times 1000) of RESULT against TRUTH."""
-    from gcnd.mesh_io import to_arrays
-    from gcnd.same_faces import check_same_faces
+    from gcnd.mesh_io import read_shape
+    from gcnd.same_faces import split_alike
 
-    result, _ = to_arrays(result_mesh)
-    truth, _ = to_arrays(truth_mesh)
-    check_same_faces(result, truth, ("RESULT", "TRUTH"), _HINT)
+    true_shape = read_shape(truth_mesh)
+    truth = true_shape.arrays
+    result = split_alike(read_shape(result_mesh), true_shape, ("RESULT", "TRUTH"), _HINT)
     from gcnd.metrics import normal_error, vertex_error
 
     degrees = normal_error(result.vertices, truth.vertices, truth.faces)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 from gcnd.cli.options import InputMesh, JsonFlag, print_json, print_table
 
 __all__ = ["run"]
@@ -12,10 +14,11 @@ def run(input_mesh: InputMesh, as_json: JsonFlag = False) -> None:
     from gcnd import _geom
     from gcnd.auto import choose_preset, read_signs
     from gcnd.mesh_info import mesh_info
-    from gcnd.mesh_io import to_arrays
+    from gcnd.mesh_io import read_shape
     from gcnd.start import Start
 
-    arrays, _ = to_arrays(input_mesh)
+    shape = read_shape(input_mesh)
+    arrays = shape.arrays
     welded, _ = arrays.welded()
     topology = _geom.Topology(welded.faces, len(welded.vertices))
     start = Start(topology, welded.vertices)
@@ -24,6 +27,12 @@ def run(input_mesh: InputMesh, as_json: JsonFlag = False) -> None:
     info: dict[str, object] = {**mesh_info(arrays.vertices, arrays.faces)}
     info |= {"spikes": 0 if start.spikes is None else len(start.spikes.ids), **signs.described()}
     info |= {"preset": choice.preset, "why": choice.why}
+    if shape.polygons is not None:
+        print(
+            f"the {shape.n_faces:,} faces of {input_mesh} are counted as {len(arrays.faces):,} triangles, since some "
+            "have more than three corners; gcnd denoise takes them with --triangulate",
+            file=sys.stderr,
+        )
     if as_json:
         print_json(info)
     else:

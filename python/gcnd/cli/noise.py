@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gcnd.cli.options import InputMesh, OutputMesh, Seed
+from gcnd.cli.options import InputMesh, OutputMesh, Seed, TriangulateFlag
 from gcnd.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -72,6 +72,7 @@ def run(
         float | None,
         typer.Option(help="Metres from the camera to the object's middle; 0.8 by default, for kinect2 1.2."),
     ] = None,
+    triangulate: TriangulateFlag = False,
     seed: Seed = 0,
 ) -> None:
     """Add noise to the vertices of IN, or scan it, and write the result to OUT."""
@@ -81,7 +82,11 @@ def run(
     if kind in _SCANS:
         if level is not None:
             raise ConfigError(f"--level does not apply to {kind.value}", hint="a scan has its sensor's noise")
-        _scan(input_mesh, output_mesh, truth, _SCANS[kind], size, distance, seed)
+        scan = {"seed": seed, "size": size, "distance": distance}
+        if kind is NoiseKind.PRINT:
+            _print(input_mesh, output_mesh, truth, triangulate, scan)
+        else:
+            _photograph(input_mesh, output_mesh, truth, _SCANS[kind], scan)
         return
     for option, value in (("--truth", truth), ("--size", size), ("--distance", distance)):
         if value is not None:
@@ -91,68 +96,66 @@ def run(
             )
     if level is None:
         raise typer.BadParameter(f"{kind.value} noise needs one", param_hint="--level")
-    _add_noise(input_mesh, output_mesh, kind, level, fraction, seed)
+    options = {"kind": kind.value, "level": level, "fraction": fraction, "seed": seed}
+    _add_noise(input_mesh, output_mesh, triangulate, options)
 
 
-def _add_noise(
-    input_mesh: Path, output_mesh: Path, kind: NoiseKind, level: float, fraction: float, seed: int
-) -> None:
+def _add_noise(input_mesh: Path, output_mesh: Path, triangulate: bool, options: dict[str, Any]) -> None:
     from gcnd.data.noise import add_noise
-    from gcnd.mesh_io import load, save, to_arrays
+    from gcnd.mesh_io import save, to_arrays
+    from gcnd.results import load_source
 
-    arrays, rebuild = to_arrays(load(input_mesh))
-    moved = add_noise(
-        arrays.vertices,
-        arrays.faces,
-        kind=kind.value,  # type: ignore[arg-type]
-        level=level,
-        fraction=fraction,
-        seed=seed,
-    )
-    save(rebuild(moved), output_mesh)
+    arrays, rebuild = to_arrays(load_source(input_mesh, output_mesh, triangulate=triangulate))
+    moved = add_noise(arrays.vertices, arrays.faces, **options)
+    save(rebuild(moved), output_mesh, like=input_mesh)
 
 
-def _scan(
-    input_mesh: Path,
-    output_mesh: Path,
-    truth: Path | None,
-    kind: ScanKind,
-    size: float | None,
-    distance: float | None,
-    seed: int,
+def _print(
+    input_mesh: Path, output_mesh: Path, truth: Path | None, triangulate: bool, options: dict[str, Any]
 ) -> None:
-    from gcnd.mesh_io import check_output_path, load, save, to_arrays
+    """Scans a print, whose faces are those of the mesh."""
+    from gcnd.mesh_io import save, to_arrays
+    from gcnd.results import load_source
+    from gcnd.scans.simulate import simulate
+
+    for name in ("size", "distance"):
+        if options.pop(name) is not None:
+            raise ConfigError(
+                f"--{name} does not apply to print", hint="its numbers are in mean edge lengths"
+            )
+    paths = [output_mesh] if truth is None else [output_mesh, truth]
+    if truth is not None:
+        _check_truth(input_mesh, output_mesh, truth)
+    arrays, rebuild = to_arrays(load_source(input_mesh, *paths, triangulate=triangulate))
+    pair = simulate("print", arrays.vertices, arrays.faces, **options)
+    for path, vertices in zip(paths, (pair.noisy_vertices, pair.clean_vertices), strict=False):
+        save(rebuild(vertices), path, like=input_mesh)
+
+
+def _photograph(
+    input_mesh: Path, output_mesh: Path, truth: Path | None, kind: ScanKind, options: dict[str, Any]
+) -> None:
+    """Takes the mesh with a depth camera, which makes triangles of its own."""
+    from gcnd.mesh_io import read_shape, save
     from gcnd.scans.simulate import DEFAULT_SIZE, simulate
 
-    if kind == "print":
-        for option, value in (("--size", size), ("--distance", distance)):
-            if value is not None:
-                raise ConfigError(
-                    f"{option} does not apply to print", hint="its numbers are in mean edge lengths"
-                )
-    elif truth is None:
+    if truth is None:
         raise ConfigError(
             f"{kind} makes faces of its own, and without its truth nothing can be compared with it",
             hint="say where to write the truth: --truth FILE",
         )
-    if truth is not None:
-        check_output_path(truth, input_mesh)
-        if truth.resolve() == output_mesh.resolve():
-            raise ConfigError(f"--truth and OUT are both {truth}", hint="name two files")
-    arrays, rebuild = to_arrays(load(input_mesh))
-    pair = simulate(
-        kind,
-        arrays.vertices,
-        arrays.faces,
-        seed=seed,
-        size=DEFAULT_SIZE if size is None else size,
-        distance=distance,
-    )
-    if kind == "print":
-        save(rebuild(pair.noisy_vertices), output_mesh)
-        if truth is not None:
-            save(rebuild(pair.clean_vertices), truth)
-        return
+    _check_truth(input_mesh, output_mesh, truth)
+    arrays = read_shape(input_mesh).arrays
+    if options["size"] is None:
+        options["size"] = DEFAULT_SIZE
+    pair = simulate(kind, arrays.vertices, arrays.faces, **options)
     save((pair.noisy_vertices, pair.faces), output_mesh)
-    if truth is not None:
-        save((pair.clean_vertices, pair.faces), truth)
+    save((pair.clean_vertices, pair.faces), truth)
+
+
+def _check_truth(input_mesh: Path, output_mesh: Path, truth: Path) -> None:
+    from gcnd.mesh_io import check_output_path
+
+    check_output_path(truth, input_mesh)
+    if truth.resolve() == output_mesh.resolve():
+        raise ConfigError(f"--truth and OUT are both {truth}", hint="name two files")

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeAlias
 
 import typer
 
-__all__ = ["InputMesh", "JsonFlag", "OutputMesh", "Seed", "print_json", "print_table"]
+__all__ = ["InputMesh", "JsonFlag", "OutputMesh", "Seed", "TriangulateFlag", "print_json", "print_table"]
 
 # Plain paths, checked by mesh_io: its errors carry hints, and exit code 2 is for a wrong command line.
 InputMesh: TypeAlias = Annotated[
@@ -21,6 +21,9 @@ OutputMesh: TypeAlias = Annotated[
     typer.Argument(metavar="OUT", help="File to write; its extension gives the format.", show_default=False),
 ]
 Seed: TypeAlias = Annotated[int, typer.Option(min=0, help="Seed of every random choice.")]
+TriangulateFlag: TypeAlias = Annotated[
+    bool, typer.Option("--triangulate", help="Split faces of more than three corners for the work.")
+]
 JsonFlag: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 

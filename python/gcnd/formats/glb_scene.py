@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,11 +13,14 @@ from numpy.typing import NDArray
 
 from gcnd.errors import MeshError
 from gcnd.formats.parsed import DAMAGED_HINT, ParsedMesh
+from gcnd.memory import check_memory
 from gcnd.meshes.normals import Motion
 
 __all__ = ["read_glb_shape", "rewrite_glb"]
 
 Points = NDArray[np.float64]
+Fetch = Callable[[str], bytes]
+"""Reads another file that the scene names."""
 
 _DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -34,9 +38,10 @@ class _Part:
 
 
 class _Glb:
-    """A binary glTF file, its buffers free to be changed."""
+    """A binary glTF file, its buffers free to be changed; other files, only to be read, come from ``fetch``."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes, fetch: Fetch | None = None) -> None:
+        self.fetch = fetch
         n_json = int.from_bytes(data[12:16], "little")
         self.version = data[4:8]
         self.header: dict[str, Any] = json.loads(data[20 : 20 + n_json])
@@ -51,6 +56,8 @@ class _Glb:
         if uri is None:
             return binary
         if not str(uri).startswith("data:"):
+            if self.fetch is not None:
+                return bytearray(self.fetch(str(uri)))
             raise MeshError(f"its data are in another file, {uri}", "export it again as one GLB file")
         return bytearray(base64.b64decode(str(uri).partition(_DATA_URI)[2]))
 
@@ -70,17 +77,22 @@ class _Glb:
     def parts(self) -> list[_Part]:
         """Every primitive wherever the scene has it: by meshes, then primitives, then nodes, in the file's order."""
         places = self._places()
-        found = []
+        found: list[tuple[dict[str, int], NDArray[np.int64], list[Points]]] = []
         for mesh_id, mesh in enumerate(self.header.get("meshes", [])):
-            for primitive in mesh["primitives"]:
-                faces = self._faces(primitive)
-                for matrix in places.get(mesh_id, []):
-                    is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
-                    order = [0, 2, 1] if is_mirrored else [0, 1, 2]
-                    found.append(_Part(primitive["attributes"], matrix, faces[:, order]))
+            for primitive in mesh["primitives"] if mesh_id in places else ():
+                found.append((primitive["attributes"], self._faces(primitive), places[mesh_id]))
         if not found:
             raise MeshError("it holds no mesh", "check that the scene was exported with its meshes")
-        return found
+        # One mesh may be placed any number of times: a short file can ask for more than there is memory.
+        check_memory(
+            sum(len(self.array(attributes["POSITION"])) * len(where) for attributes, _, where in found),
+            sum(len(faces) * len(where) for _, faces, where in found),
+        )
+        return [
+            _Part(attributes, matrix, faces[:, [0, 2, 1]] if np.linalg.det(matrix[:3, :3]) < 0.0 else faces)
+            for attributes, faces, where in found
+            for matrix in where
+        ]
 
     def _faces(self, primitive: dict[str, Any]) -> NDArray[np.int64]:
         if "indices" in primitive:
@@ -92,7 +104,8 @@ class _Glb:
                 raise MeshError(f"a primitive has {len(ids)} corners, not a multiple of 3", DAMAGED_HINT)
             return ids.reshape(-1, 3)
         faces = np.column_stack([ids[:-2], ids[1:-1], ids[2:]])
-        faces[1::2] = faces[1::2][:, [1, 0, 2]]
+        # As trimesh turns them, so that a scene has the same faces whichever of the two reads it.
+        faces[1::2] = faces[1::2][:, ::-1]
         return faces
 
     def _places(self) -> dict[int, list[Points]]:
@@ -158,11 +171,12 @@ def _matrix(node: dict[str, Any]) -> Points:
     return matrix
 
 
-def read_glb_shape(data: bytes) -> ParsedMesh:
+def read_glb_shape(data: bytes, fetch: Fetch | None = None) -> ParsedMesh:
     """Reads the triangles of a whole scene at their places, whatever their materials.
 
     Args:
         data: The whole file, which `check_glb` has let pass.
+        fetch: Reads data that are in another file; by default they are refused, since they cannot be written again.
 
     Returns:
         Positions, faces, and attributes ``_NAME`` that all primitives have.
@@ -170,7 +184,7 @@ def read_glb_shape(data: bytes) -> ParsedMesh:
     Raises:
         MeshError: There is no mesh, or its data are elsewhere or not whole.
     """
-    glb = _Glb(data)
+    glb = _Glb(data, fetch)
     parts = glb.parts()
     vertices, faces = _world(glb, parts)
     names = set.intersection(*({n for n in part.attributes if n.startswith("_")} for part in parts))

@@ -22,7 +22,8 @@ __all__ = [
 ]
 
 TRIANGULATE_HINT = (
-    "gcnd denoise --triangulate (triangulate=True in Python) splits such faces for the work and writes them whole; "
+    "gcnd denoise --triangulate and gcnd noise --triangulate (triangulate=True in Python) split such faces for "
+    "the work and write them whole; "
     "or triangulate the mesh first (Blender: Ctrl+T in edit mode; MeshLab: Turn into a Pure-Triangular Mesh)"
 )
 DAMAGED_HINT = "the file is cut off or damaged; write or download it again"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 from gcnd import _geom
 from gcnd.errors import MeshError
 from gcnd.formats.parsed import DAMAGED_HINT, polygon_error
+from gcnd.formats.polygons import Polygons
 
-__all__ = ["LARGEST_COORDINATE", "MeshArrays", "TakenApart", "checked"]
+__all__ = ["LARGEST_COORDINATE", "MeshArrays", "Shape", "TakenApart", "checked"]
 
 LARGEST_COORDINATE = 1e150
 """Beyond it squares of lengths leave the range of numbers."""
@@ -53,6 +55,25 @@ class MeshArrays:
         return MeshArrays(self.vertices[representatives], ids[self.faces]), ids
 
 
+class Shape(NamedTuple):
+    """What is known of a mesh that is only looked at.
+
+    Attributes:
+        arrays: Vertices and triangles.
+        polygons: Which faces of the mesh the triangles stand for, where some have more corners; or None.
+        face_attributes: Values by name, a row for each triangle.
+    """
+
+    arrays: MeshArrays
+    polygons: Polygons | None = None
+    face_attributes: Mapping[str, NDArray[Any]] = MappingProxyType({})
+
+    @property
+    def n_faces(self) -> int:
+        """How many faces the mesh has, each counted once however many corners it has."""
+        return len(self.arrays.faces) if self.polygons is None else self.polygons.n_faces
+
+
 class TakenApart(NamedTuple):
     """What an adapter returns for a mesh.
 
@@ -60,11 +81,13 @@ class TakenApart(NamedTuple):
         vertices: Numbers (V, 3), as the mesh has them; nothing but their shape's first number is relied on.
         faces: Vertex ids (F, 3), likewise.
         rebuild: Takes float64 vertices (V, 3) and returns a new mesh of the same kind; the old one is left alone.
+        polygons: Which faces of the mesh the triangles stand for, where some have more corners; or None.
     """
 
     vertices: NDArray[Any]
     faces: NDArray[Any]
     rebuild: Callable[[NDArray[np.float64]], Any]
+    polygons: Polygons | None = None
 
 
 def checked(vertices: NDArray[Any], faces: NDArray[Any]) -> MeshArrays:

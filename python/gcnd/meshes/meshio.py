@@ -57,7 +57,7 @@ def take_apart(mesh: Any, *, triangulate: bool = False) -> TakenApart:
         result.point_data.update(renewed_columns(values, Motion(points, result.points, faces, polygons)))
         return result
 
-    return TakenApart(points, faces, rebuild)
+    return TakenApart(points, faces, rebuild, polygons)
 
 
 def _triangles(blocks: list[NDArray[Any]], points: NDArray[Any]) -> tuple[NDArray[Any], Polygons | None]:

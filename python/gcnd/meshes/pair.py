@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gcnd.errors import MeshError
 from gcnd.formats.parsed import check_ids, polygon_error, triangles_of
+from gcnd.formats.polygons import Polygons
 from gcnd.meshes.arrays import TakenApart
 
 __all__ = ["take_apart"]
@@ -22,7 +23,7 @@ def take_apart(mesh: Any, *, triangulate: bool = False) -> TakenApart:
     """
     vertices, faces = mesh
     points = _as_numpy(vertices, "vertices")
-    triangles = _split(points, faces) if triangulate else None
+    triangles, polygons = _split(points, faces) if triangulate else (None, None)
 
     def rebuild(moved: NDArray[np.float64]) -> tuple[Any, Any]:
         if _is_torch(faces):
@@ -30,22 +31,25 @@ def take_apart(mesh: Any, *, triangulate: bool = False) -> TakenApart:
         is_ragged = triangles is not None and len({len(row) for row in faces}) > 1
         return _vertices_like(vertices, moved), [list(row) for row in faces] if is_ragged else np.array(faces)
 
-    return TakenApart(points, _as_numpy(faces, "faces") if triangles is None else triangles, rebuild)
+    return TakenApart(
+        points, _as_numpy(faces, "faces") if triangles is None else triangles, rebuild, polygons
+    )
 
 
-def _split(points: NDArray[Any], faces: Any) -> NDArray[np.int64] | None:
-    """The triangles (T, 3) of faces of which some have more corners; None where none has, or they are no faces."""
+def _split(points: NDArray[Any], faces: Any) -> tuple[NDArray[np.int64] | None, Polygons | None]:
+    """The triangles (T, 3) of faces of which some have more corners, and what they stand for; None where none has, or
+    they are no faces."""
     lengths = [len(row) if hasattr(row, "__len__") else 0 for row in faces]
     if points.ndim != 2 or points.shape[1] != 3 or min(lengths, default=0) < 3 or max(lengths) == 3:
-        return None
+        return None, None
     rows = [_as_numpy(row, "faces") for row in faces]
     ids = np.concatenate(rows)
     if ids.ndim != 1 or ids.dtype.kind not in "iu":
-        return None
+        return None, None
     counts = np.array(lengths, dtype=np.int64)
     check_ids(ids.astype(np.int64), counts, len(points))
-    corners, _ = triangles_of(points.astype(np.float64), ids.astype(np.int64), counts)
-    return ids.astype(np.int64)[corners]
+    corners, polygons = triangles_of(points.astype(np.float64), ids.astype(np.int64), counts)
+    return ids.astype(np.int64)[corners], polygons
 
 
 def _as_numpy(values: Any, what: str) -> NDArray[Any]:

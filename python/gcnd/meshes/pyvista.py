@@ -50,7 +50,7 @@ def take_apart(mesh: Any, *, triangulate: bool = False) -> TakenApart:
             _renew_normals(copy, Motion(points, np.asarray(copy.points), faces, polygons))
         return copy
 
-    return TakenApart(points, faces, rebuild)
+    return TakenApart(points, faces, rebuild, polygons)
 
 
 def _triangles(

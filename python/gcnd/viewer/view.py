@@ -10,15 +10,15 @@ import numpy as np
 
 from gcnd.errors import ConfigError, MeshError
 from gcnd.formats.atomic import write_or_tell
-from gcnd.mesh_io import load, to_arrays
-from gcnd.same_faces import check_same_faces
+from gcnd.mesh_io import read_shape
+from gcnd.same_faces import split_alike
 from gcnd.viewer.changes import Figures, compare_meshes
 from gcnd.viewer.page import Names, view_page
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from gcnd.mesh_io import MeshArrays, MeshPath
+    from gcnd.mesh_io import MeshArrays, MeshPath, Shape
 
 __all__ = ["MAX_FACES", "view"]
 
@@ -41,9 +41,10 @@ def view(
     The page opens in any browser with WebGL 2 and fetches nothing. It shows both meshes from one camera, side by side,
     with a wipe between them, or blended, plain or coloured by angular change (degrees a face), by error against the
     truth (degrees a face), by displacement (mean edge lengths a vertex) or by doubt (1 − confidence, percent a face).
+    It shows faces of more than three corners as triangles, the same in all meshes.
 
     Args:
-        after: The denoised mesh: whatever `gcnd.mesh_io.to_arrays` takes: a path, a pair of arrays, a mesh object.
+        after: The denoised mesh: whatever `gcnd.mesh_io.read_shape` takes: a path, a pair of arrays, a mesh object.
         against: The mesh before, with the same faces in the same order.
         truth: The true mesh, with the same faces in the same order, or None.
         confidence: By face (F,), 0 to 1, as `gcnd.denoise` returns it; by default the face attribute ``confidence`` of
@@ -55,7 +56,7 @@ def view(
 
     Raises:
         MeshError: The meshes do not share their faces and their number of vertices, have more than `MAX_FACES` faces,
-            or cannot be read; see `gcnd.mesh_io.to_arrays`.
+            or cannot be read; see `gcnd.mesh_io.read_shape`.
         ConfigError: `out` is not called .html, or its folder does not exist; or the confidence is not one number from
             0 to 1 for each face.
         GcndError: The page cannot be written. What stood at `out` then still does.
@@ -70,20 +71,18 @@ def view(
     names = Names(
         _name(against, "before"), _name(after, "after"), None if truth is None else _name(truth, "truth")
     )
-    before_mesh, _ = to_arrays(against)
-    after = load(after) if isinstance(after, str | os.PathLike) else after
-    after_mesh, _ = to_arrays(after)
-    truth_mesh = None if truth is None else to_arrays(truth)[0]
-    _check_pair(after_mesh, before_mesh, (names.after, names.before))
-    if truth_mesh is not None:
-        _check_pair(truth_mesh, before_mesh, (names.truth or "truth", names.before))
+    before, shape = read_shape(against), read_shape(after)
+    before_mesh, after_mesh = before.arrays, _pair(shape, before, (names.after, names.before))
+    truth_mesh = None
+    if truth is not None:
+        truth_mesh = _pair(read_shape(truth), before, (names.truth or "truth", names.before))
     if len(before_mesh.faces) > MAX_FACES:
         raise MeshError(
             f"{names.before} has {len(before_mesh.faces)} faces, and a page takes at most {MAX_FACES}",
             "cut out the part of interest from each mesh, and view that",
         )
     if confidence is None:
-        confidence = getattr(after, "face_attributes", {}).get("confidence")
+        confidence = shape.face_attributes.get("confidence")
     known = None if confidence is None else _checked_confidence(confidence, len(after_mesh.faces))
     layers, figures = compare_meshes(before_mesh, after_mesh, truth_mesh, known)
     page = view_page(before_mesh, after_mesh, layers, figures, names)
@@ -100,11 +99,13 @@ def _checked_confidence(confidence: ArrayLike, n_faces: int) -> NDArray[np.float
     return values
 
 
-def _check_pair(mesh: MeshArrays, before: MeshArrays, names: tuple[str, str]) -> None:
-    check_same_faces(mesh, before, names, _HINT)
-    if len(mesh.vertices) != len(before.vertices):
-        counts = (len(mesh.vertices), len(before.vertices))
+def _pair(mesh: Shape, before: Shape, names: tuple[str, str]) -> MeshArrays:
+    """The mesh with the triangles of the one before."""
+    alike = split_alike(mesh, before, names, _HINT)
+    counts = len(alike.vertices), len(before.arrays.vertices)
+    if counts[0] != counts[1]:
         raise MeshError(f"{names[0]} has {counts[0]} vertices and {names[1]} has {counts[1]}", _HINT)
+    return alike
 
 
 def _check_page_path(path: Path) -> None:
