@@ -235,7 +235,8 @@ def test_denoise_with_a_filter(mesh_path: Path, capsys: pytest.CaptureFixture[st
     shown = json.loads(capsys.readouterr().out)
     parameters = {"vertex_iterations": 5, "sigma_r": 0.45, "fix_boundary": False}
     assert shown["method"] == "bilateral-normal"
-    assert shown["parameters"] == parameters
+    defaults = {info.name: info.parameters for info in list_filters()}["bilateral-normal"]
+    assert shown["parameters"] == defaults | parameters
     assert "preset" not in shown
     expected = apply_filter(load(mesh_path), "bilateral-normal", **parameters)
     assert np.abs(load(out).vertices - expected.vertices).max() < 1e-6

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from gcnd.errors import Cancelled, ConfigError, GcndError
-from gcnd.many import Job, Outcome, Wanted, run_job
+from gcnd.many import Job, Outcome, Tell, Wanted, run_job
 from gcnd.runs import Method
 from gcnd.stages import Progress, stops
 
@@ -17,7 +17,7 @@ MAX_RETRIES = 3
 
 
 def run_on_ray(
-    jobs: Sequence[Job], denoiser: Method, wanted: Wanted, progress: Progress | None
+    jobs: Sequence[Job], denoiser: Method, wanted: Wanted, progress: Progress | None, tell: Tell
 ) -> list[Outcome]:
     """Runs each job as a task of one CPU on a Ray cluster: the one this process is connected to, or a local one.
 
@@ -26,6 +26,7 @@ def run_on_ray(
         denoiser: Travels to the workers by pickle.
         wanted: Of every mesh.
         progress: See ``denoise_many``; told of meshes that are done.
+        tell: Called with each outcome as soon as it is known, in any order.
 
     Returns:
         The outcomes, in order. One whose worker died more than `MAX_RETRIES` times has failed.
@@ -55,6 +56,7 @@ def run_on_ray(
             except ray.exceptions.RayError as error:
                 failure = GcndError(f"its worker was lost: {type(error).__name__}")
                 outcomes[index] = Outcome(jobs[index].name, "failed", error=failure)
+            tell(outcomes[index])
         told = f"{len(outcomes)} of {len(jobs)} done"
         if progress is not None and stops(progress(past / whole, told)):
             for task in waiting:

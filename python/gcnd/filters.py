@@ -20,7 +20,15 @@ if TYPE_CHECKING:
     from gcnd.start import Start
     from gcnd.surface import Surface
 
-__all__ = ["Filter", "FilterInfo", "apply_filter", "finite", "list_filters", "parse_parameters"]
+__all__ = [
+    "Filter",
+    "FilterInfo",
+    "all_parameters",
+    "apply_filter",
+    "finite",
+    "list_filters",
+    "parse_parameters",
+]
 
 
 @dataclass(frozen=True)
@@ -165,9 +173,25 @@ class Filter:
             moved = run(surface.topology, start.positions, progress=report, **self.parameters)
             return Moved(start.way_back(moved))
 
-        parameters = {**_defaults(_find(self.method)), **self.parameters}
-        described = {"filter": self.method, "parameters": parameters}
+        described = {"filter": self.method, "parameters": all_parameters(self.method, self.parameters)}
         return run_on(mesh, move, self.controls, described, progress, self.triangulate)
+
+
+def all_parameters(method: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Adds the defaults of all parameters that are not given, as the filter runs with them.
+
+    Args:
+        method: Name of the filter.
+        given: Values by name.
+
+    Returns:
+        Values of all parameters; None stands for a value taken from each mesh.
+
+    Example:
+        >>> all_parameters("laplacian", {"iterations": 3})
+        {'lambda_': 0.5, 'iterations': 3, 'fix_boundary': True}
+    """
+    return {**_defaults(_find(method)), **given}
 
 
 def parse_parameters(method: str, texts: Mapping[str, str]) -> dict[str, bool | int | float]:

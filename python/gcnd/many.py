@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -20,6 +20,7 @@ from gcnd.stages import Progress
 __all__ = [
     "Job",
     "Outcome",
+    "Tell",
     "Wanted",
     "denoise_many",
     "mesh_files",
@@ -66,6 +67,14 @@ class Job:
     weight: float
 
 
+Tell: TypeAlias = Callable[[Outcome], object]
+"""Takes what became of a mesh."""
+
+
+def _tell_nobody(outcome: Outcome) -> None:
+    """Leaves it to what is returned."""
+
+
 class Wanted(NamedTuple):
     """What is wanted of every mesh; see ``denoise_many``."""
 
@@ -83,6 +92,7 @@ def denoise_many(
     reports: bool = False,
     ray: bool = False,
     progress: Progress | None = None,
+    tell: Tell = _tell_nobody,
 ) -> list[Outcome]:
     """Denoises many meshes, one after the other or on a Ray cluster, and says of each what became of it.
 
@@ -101,6 +111,7 @@ def denoise_many(
         reports: Whether outcomes have a report.
         ray: Whether to work on a Ray cluster, several at a time; see ``gcnd.cluster``; progress is by whole meshes.
         progress: Called with (fraction of all, the name at work and its number); returning False cancels all.
+        tell: Called with each outcome as soon as it is known, so that of a stopped run they are not lost.
 
     Returns:
         One outcome a mesh, in order.
@@ -123,16 +134,30 @@ def denoise_many(
         from gcnd.denoiser import Denoiser
 
         denoiser = Denoiser()
+    is_left = [overwrite or not _is_done(job) for job in jobs]
     if ray:
         from gcnd.cluster import run_on_ray
 
-        left = [job for job in jobs if overwrite or not _is_done(job)]
-        done = iter(run_on_ray(left, denoiser, wanted, progress))
-        at_work = {job.name for job in left}
-        return [
-            next(done) if job.name in at_work else Outcome(job.name, "skipped", output=job.output)
-            for job in jobs
+        skipped = [
+            None if left else Outcome(job.name, "skipped", output=job.output)
+            for job, left in zip(jobs, is_left, strict=True)
         ]
+        for outcome in filter(None, skipped):
+            tell(outcome)
+        left = [job for job, left in zip(jobs, is_left, strict=True) if left]
+        done = iter(run_on_ray(left, denoiser, wanted, progress, tell))
+        return [outcome or next(done) for outcome in skipped]
+    return _one_by_one(jobs, is_left, denoiser, wanted, progress, tell)
+
+
+def _one_by_one(
+    jobs: Sequence[Job],
+    is_left: Sequence[bool],
+    denoiser: Method,
+    wanted: Wanted,
+    progress: Progress | None,
+    tell: Tell,
+) -> list[Outcome]:
     whole, past = sum(job.weight for job in jobs), 0.0
     outcomes: list[Outcome] = []
     for number, job in enumerate(jobs):
@@ -143,10 +168,11 @@ def denoise_many(
                 return None
             return progress((past + fraction * job.weight) / whole, label)
 
-        if not overwrite and _is_done(job):
-            outcomes.append(Outcome(job.name, "skipped", output=job.output))
-        else:
+        if is_left[number]:
             outcomes.append(run_job(job, denoiser, wanted, told))
+        else:
+            outcomes.append(Outcome(job.name, "skipped", output=job.output))
+        tell(outcomes[-1])
         past += job.weight
     if progress is not None:
         progress(1.0, "done")

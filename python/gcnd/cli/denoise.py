@@ -175,12 +175,14 @@ def run(
         if boundary is not None:
             options["boundary"] = boundary.value
     else:
+        from gcnd.filters import all_parameters
+
         if preset != "auto":
             raise ConfigError("--preset and --method exclude each other", hint="give one of the two")
         if confidence:
             raise ConfigError("--confidence is for presets: filters predict nothing")
         options = _filter_options(method, param or [], iterations, boundary)
-        settings = {"method": method, "parameters": options}
+        settings = {"method": method, "parameters": all_parameters(method, options)}
     controls = {
         "strength": strength,
         "max_displacement": max_displacement,

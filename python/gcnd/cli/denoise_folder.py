@@ -16,7 +16,7 @@ from gcnd.cli.progress import show_progress
 from gcnd.errors import GcndError, MeshError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from gcnd.cli.denoise import Request
     from gcnd.many import Outcome
@@ -49,35 +49,38 @@ def run_folder(
     """
     with nothing_to_lose():
         from gcnd.many import denoise_many, mesh_files
-        from gcnd.mesh_io import check_output_path
-        from gcnd.report import write_report
 
         if output_folder.exists() and not output_folder.is_dir():
             raise MeshError(
                 f"{output_folder} is a file, and {input_folder} a folder", "name a folder for the results"
             )
+        files = mesh_files(input_folder, output_folder)
+        results = {path: output_folder / path.relative_to(input_folder) for path in files}
         if request.report is not None:
             output_folder.mkdir(parents=True, exist_ok=True)
-            files = mesh_files(input_folder, output_folder)
-            results = [output_folder / path.relative_to(input_folder) for path in files]
-            check_output_path(request.report, *files, *results, is_mesh=False)
+            _check_report_path(request.report, results)
         method = request.method()
-    # The table tells them, with the names of the files.
-    with ignoring_warnings(), show_progress(quiet=quiet) as progress:
-        outcomes = denoise_many(
-            input_folder,
-            output_folder,
-            denoiser=method,
-            overwrite=overwrite,
-            confidence=request.confidence,
-            reports=request.report is not None,
-            ray=ray,
-            progress=progress,
-        )
+    known: dict[str, Outcome] = {}
+    try:
+        # The table tells them, with the names of the files.
+        with ignoring_warnings(), show_progress(quiet=quiet) as progress:
+            outcomes = denoise_many(
+                input_folder,
+                output_folder,
+                denoiser=method,
+                overwrite=overwrite,
+                confidence=request.confidence,
+                reports=request.report is not None,
+                ray=ray,
+                progress=progress,
+                tell=lambda outcome: known.update({outcome.name: outcome}),
+            )
+    except KeyboardInterrupt:
+        if request.report is not None:
+            _write_report(request.report, known, results, output_folder)
+        raise
     if request.report is not None:
-        former = _former_reports(request.report)
-        rows = [_row(one) | {"report": one.report or _kept(one, former)} for one in outcomes]
-        write_report(request.report, rows)
+        _write_report(request.report, known, results, output_folder)
     failed = sum(outcome.status == "failed" for outcome in outcomes)
     if as_json:
         print_json({"settings": request.settings, "files": [_row(outcome) for outcome in outcomes]})
@@ -93,6 +96,38 @@ def run_folder(
         raise typer.Exit(1)
 
 
+def _check_report_path(path: Path, results: Mapping[Path, Path]) -> None:
+    """Checks that the report replaces no file of the run: none of the meshes, results, materials and textures."""
+    from gcnd.formats.referred import paths_of_referred
+    from gcnd.mesh_io import check_output_path
+
+    others = [*results, *results.values()]
+    for source, result in results.items():
+        try:
+            others += paths_of_referred(source, result)
+        except MeshError:
+            continue  # what is wrong with it is told when its turn comes, and it has no result
+    check_output_path(path, *others, is_mesh=False)
+
+
+def _write_report(
+    path: Path, known: Mapping[str, Outcome], results: Mapping[Path, Path], output_folder: Path
+) -> None:
+    """Writes what became of each mesh; one that a stopped run did not come to the end of has the status "stopped"."""
+    from gcnd.report import write_report
+
+    former = _former_reports(path)
+    rows = []
+    for result in results.values():
+        name = result.relative_to(output_folder).as_posix()
+        outcome = known.get(name)
+        is_there = outcome.status == "skipped" if outcome else result.is_file()
+        row = _row(outcome) if outcome else _stopped_row(name, result if is_there else None)
+        report = outcome.report if outcome else None
+        rows.append(row | {"report": report or (former.get(name) if is_there else None)})
+    write_report(path, rows)
+
+
 def _former_reports(path: Path) -> dict[str, object]:
     """What an earlier run of the folder wrote there, by the names of the meshes; nothing where it is anything else."""
     text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else "[]"
@@ -102,10 +137,6 @@ def _former_reports(path: Path) -> dict[str, object]:
         rows = []  # no report of ours: it is replaced
     known = [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
     return {str(row.get("name")): row.get("report") for row in known}
-
-
-def _kept(outcome: Outcome, former: dict[str, object]) -> object:
-    return former.get(outcome.name) if outcome.status == "skipped" else None
 
 
 def _row(outcome: Outcome) -> dict[str, object]:
@@ -118,6 +149,12 @@ def _row(outcome: Outcome) -> dict[str, object]:
         "error": None if outcome.error is None else _told(outcome.error),
         "warnings": list(outcome.warnings),
     }
+
+
+def _stopped_row(name: str, former_result: Path | None) -> dict[str, object]:
+    from gcnd.many import Outcome
+
+    return _row(Outcome(name, "skipped", output=former_result)) | {"status": "stopped"}
 
 
 def _told(error: Exception) -> str:

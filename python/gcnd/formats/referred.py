@@ -9,9 +9,12 @@ from urllib.parse import unquote
 
 from gcnd.errors import MeshError
 from gcnd.formats.beside import find_beside, libraries_of_line
+from gcnd.formats.parsed import DAMAGED_HINT
 from gcnd.formats.ply_header import parse_header
 
 __all__ = ["check_copies", "copies_of_referred", "paths_of_referred"]
+
+_BLOCK_BYTES = 1 << 16
 
 
 def copies_of_referred(data: bytes, source: Path, path: Path) -> dict[Path, bytes]:
@@ -71,8 +74,16 @@ def paths_of_referred(source: Path, path: Path) -> list[Path]:
 
     Returns:
         What `source` refers to, there or not, what will be beside `path` under such names, and its material library.
+
+    Raises:
+        MeshError: It cannot be read, or is damaged.
     """
-    names = [name.replace("\\", "/") for name in _found(_content(source), source)]
+    try:
+        names = [name.replace("\\", "/") for name in _found(_head(source), source)]
+    except MeshError:
+        raise
+    except Exception as error:  # whatever a parser trips over is a fault of the file, not of its reader
+        raise MeshError(f"cannot read {source}: {type(error).__name__}: {error}", DAMAGED_HINT) from error
     names += [PurePosixPath(name).name for name in names]
     libraries = [path.with_suffix(".mtl")] if path.suffix.lower() == ".obj" else []
     return [folder / name for folder in (source.parent, path.parent) for name in names] + libraries
@@ -91,6 +102,24 @@ def _found(data: bytes, source: Path) -> dict[str, Path | None]:
         if library is not None and library.suffix.lower() == ".mtl":
             waiting += _textures(_content(library))
     return found
+
+
+def _head(source: Path) -> bytes:
+    """As much of a mesh file as its references are in: the header of PLY, the JSON of GLB, all of OBJ."""
+    extension = source.suffix.lower()
+    if extension not in (".ply", ".glb"):
+        return _content(source) if extension == ".obj" else b""
+    try:
+        with source.open("rb") as file:
+            head = file.read(_BLOCK_BYTES)
+            if extension == ".glb":
+                n_json = min(int.from_bytes(head[12:16], "little"), source.stat().st_size)
+                return head + file.read(max(20 + n_json - len(head), 0))
+            while b"end_header" not in head[-2 * _BLOCK_BYTES :] and (block := file.read(_BLOCK_BYTES)):
+                head += block
+            return head
+    except OSError as error:
+        raise MeshError(f"cannot read {source}: {error.strerror or error}") from error
 
 
 def _content(path: Path) -> bytes:
