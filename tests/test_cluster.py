@@ -1,9 +1,11 @@
-"""A folder on a local Ray cluster of two workers, one of them killed while it is at work."""
+"""A folder on a local Ray cluster: a worker killed while it is at work, and what is left of Ray after a run."""
 
 from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -102,3 +104,83 @@ def test_the_command_skips_what_is_done(
         main(["denoise", str(folder / "0.ply"), str(tmp_path / "o.ply"), "--ray", "--method", "taubin"]) == 1
     )
     assert "--ray is for folders" in capfd.readouterr().err
+
+
+# --- what is left ------------------------------------------------------------------------------------
+
+
+def processes_of(mark: str) -> list[str]:
+    """Names of the processes that inherited a mark in their environment, however their parents ended."""
+    found = []
+    for folder in Path("/proc").iterdir():
+        try:
+            if folder.name.isdigit() and mark.encode() in (folder / "environ").read_bytes().split(b"\0"):
+                found.append((folder / "comm").read_text().strip())
+        except OSError:  # it has ended, or is somebody else's
+            continue
+    return found
+
+
+def start_on_ray(folder: Path, out: Path, address: str) -> subprocess.Popen[str]:
+    command = ["denoise", str(folder), str(out), "--ray", "--method", "l0"]
+    environment = {**os.environ, "RAY_ADDRESS": address, "GCND_TEST_RUN": str(out)}
+    return subprocess.Popen(
+        [sys.executable, "-m", "gcnd.cli", *command], stderr=subprocess.PIPE, text=True, env=environment
+    )
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="no list of processes")
+@pytest.mark.parametrize("moment", ["start", "work"])
+def test_ctrl_c_leaves_no_process_of_ray(tmp_path: Path, moment: str) -> None:
+    (tmp_path / "in").mkdir()
+    large = trimesh.creation.icosphere(subdivisions=6)
+    for number in range(4):
+        save((large.vertices, large.faces), tmp_path / "in" / f"{number}.ply")
+    process = start_on_ray(tmp_path / "in", tmp_path / "out", "local")
+    assert process.stderr is not None
+    mark = f"GCND_TEST_RUN={tmp_path / 'out'}"
+    if moment == "work":
+        while "0 of 4 done" not in process.stderr.readline():
+            assert process.poll() is None
+    else:
+        while len(processes_of(mark)) < 2:
+            assert process.poll() is None
+            time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    told = process.communicate(timeout=120)[1]
+    assert process.returncode == 130
+    assert "Traceback" not in told
+    # Ray's own agents look for their parent every few seconds; left alone they stay for a minute.
+    ended = time.monotonic()
+    while processes_of(mark) and time.monotonic() - ended < 15.0:
+        time.sleep(0.1)
+    assert processes_of(mark) == []
+
+
+def test_a_cluster_that_was_there_goes_on(cluster: None, folder: Path, tmp_path: Path) -> None:
+    process = start_on_ray(folder, tmp_path / "out", ray.get_runtime_context().gcs_address)
+    told = process.communicate(timeout=120)[1]
+    assert "5 done, 0 skipped, 1 failed" in told
+    assert ray.get(ray.remote(lambda: 6 * 7).remote(), timeout=60) == 42
+
+
+def test_results_outlive_the_cluster() -> None:
+    program = """
+import numpy as np, ray, trimesh
+from gcnd import denoise_many
+from gcnd.filters import Filter
+ball = trimesh.creation.icosphere(subdivisions=6)
+pair = (np.array(ball.vertices), np.array(ball.faces))
+results = [denoise_many([pair], denoiser=Filter("taubin"), ray=True)[0].denoised.after for _ in range(2)]
+assert not ray.is_initialized()
+expected = Filter("taubin").run(pair).after
+print([bool((result == expected).all()) for result in results])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env={**os.environ, "RAY_ADDRESS": "local"},
+    )
+    assert done.stdout == "[True, True]\n", done.stderr

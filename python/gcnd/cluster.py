@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 from gcnd.errors import Cancelled, ConfigError, GcndError
@@ -20,6 +24,8 @@ def run_on_ray(
     jobs: Sequence[Job], denoiser: Method, wanted: Wanted, progress: Progress | None, tell: Tell
 ) -> list[Outcome]:
     """Runs each job as a task of one CPU on a Ray cluster: the one this process is connected to, or a local one.
+
+    A cluster that is started here ends with the run, however that ends; one that was there is left as it is.
 
     Args:
         jobs: What to do; their files must be reachable from every machine under the same names.
@@ -39,8 +45,58 @@ def run_on_ray(
         import ray
     except ImportError:
         raise ConfigError("ray is not installed", "pip install 'gcnd[ray]'") from None
-    if not ray.is_initialized():
-        ray.init(log_to_driver=False, include_dashboard=False)
+    with _connected(ray):
+        return _spread(ray, jobs, denoiser, wanted, progress, tell)
+
+
+@contextmanager
+def _connected(ray: Any) -> Iterator[None]:
+    """Starts a cluster, or connects to the one that ``RAY_ADDRESS`` names, and ends at the end what was begun here.
+
+    Without that, a program that leaves at once on Ctrl-C would leave some of the processes that Ray started.
+    """
+    if ray.is_initialized():
+        yield
+        return
+    try:
+        with _ctrl_c_waits():
+            ray.init(log_to_driver=False, include_dashboard=False)
+        yield
+    finally:
+        with _ctrl_c_waits():
+            # Ends processes that init has started; a cluster that init has only connected to goes on.
+            ray.shutdown()
+
+
+@contextmanager
+def _ctrl_c_waits() -> Iterator[None]:
+    """Obeys Ctrl-C at the end of the block: Ray stopped while it starts or ends processes loses sight of them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    noticed = threading.Event()
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        noticed.set()
+
+    previous = signal.signal(signal.SIGINT, handle)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    if noticed.is_set():
+        signal.raise_signal(signal.SIGINT)
+
+
+def _spread(
+    ray: Any,
+    jobs: Sequence[Job],
+    denoiser: Method,
+    wanted: Wanted,
+    progress: Progress | None,
+    tell: Tell,
+) -> list[Outcome]:
+    """The outcomes of the jobs, which work at once as far as the cluster has CPUs."""
     work: Any = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(_work)
     shared = ray.put(denoiser)
     index_of = {work.remote(job, shared, wanted): i for i, job in enumerate(jobs)}

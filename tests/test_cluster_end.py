@@ -1,0 +1,92 @@
+"""What a run on Ray begins and ends, with a stand-in for Ray that works in the process itself."""
+
+from __future__ import annotations
+
+import signal
+import types
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cli_cases import FACES, VERTICES, stand_in
+from gcnd import denoise_many
+from gcnd.errors import Cancelled
+from gcnd.filters import Filter
+
+PAIR = (VERTICES, FACES)
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is asked of Ray, in order; ``init`` makes it initialised."""
+    asked: list[str] = []
+
+    def remote(**options: Any) -> Any:
+        return lambda work: types.SimpleNamespace(remote=lambda *arguments: _Task(work, arguments))
+
+    stand_in(
+        monkeypatch,
+        "ray",
+        is_initialized=lambda: asked[-1:] == ["init"],
+        init=lambda **options: asked.append("init"),
+        shutdown=lambda: asked.append("shutdown"),
+        put=lambda value: value,
+        get=lambda task: task.work(*task.arguments),
+        wait=lambda tasks, timeout: (tasks[:1], tasks[1:]),
+        cancel=lambda task: asked.append("cancel"),
+        remote=remote,
+        exceptions=types.SimpleNamespace(RayError=ConnectionError),
+    )
+    return asked
+
+
+class _Task:
+    def __init__(self, work: Any, arguments: Any) -> None:
+        self.work, self.arguments = work, arguments
+
+
+def test_a_cluster_that_is_started_ends_with_the_run(calls: list[str]) -> None:
+    (outcome,) = denoise_many([PAIR], denoiser=Filter("taubin"), ray=True)
+    assert outcome.denoised is not None
+    assert np.array_equal(outcome.denoised.after, Filter("taubin").run(PAIR).after)
+    assert calls == ["init", "shutdown"]
+
+
+def test_a_cluster_that_was_there_is_left_alone(calls: list[str]) -> None:
+    calls.append("init")
+    (outcome,) = denoise_many([PAIR], denoiser=Filter("taubin"), ray=True)
+    assert outcome.status == "done"
+    assert calls == ["init"]
+
+
+def test_a_cancelled_run_ends_it(calls: list[str]) -> None:
+    told: list[str] = []
+    with pytest.raises(Cancelled):
+        denoise_many(
+            [PAIR, PAIR],
+            denoiser=Filter("taubin"),
+            ray=True,
+            progress=lambda *_: False,
+            tell=lambda outcome: told.append(outcome.status),
+        )
+    assert calls == ["init", "cancel", "shutdown"]
+    assert told == ["done"]
+
+
+@pytest.mark.parametrize("moment", ["init", "wait", "shutdown"])
+def test_ctrl_c_ends_it_at_any_moment(calls: list[str], monkeypatch: pytest.MonkeyPatch, moment: str) -> None:
+    import ray
+
+    real = getattr(ray, moment)
+
+    def interrupted(*arguments: Any, **options: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(ray, moment, interrupted)
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        denoise_many([PAIR], denoiser=Filter("taubin"), ray=True)
+    assert calls == ["init", "shutdown"]
+    assert signal.getsignal(signal.SIGINT) is before
