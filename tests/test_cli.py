@@ -117,6 +117,19 @@ def test_bad_output_is_told_before_any_work(
     assert mesh_path.read_bytes() == before
 
 
+@pytest.mark.parametrize("command", [["denoise"], ["noise", "--level", "0.1"]])
+def test_a_format_that_is_not_read_is_the_inputs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]
+) -> None:
+    source = tmp_path / "in.gltf"
+    source.write_text("{}")
+    for out in ("out.gltf", "out.ply"):
+        assert main([command[0], str(source), str(tmp_path / out), *command[1:]]) == 1
+        error, _, hint = capsys.readouterr().err.splitlines()
+        assert error == f"error: {source}: unknown mesh format '.gltf'"
+        assert hint.endswith("export it again as .glb, which is glTF in one file")
+
+
 def test_terminal_gets_a_bar(
     mesh_path: Path,
     denoise_calls: list[dict[str, Any]],

@@ -118,10 +118,42 @@ def test_ctrl_c_leaves_the_report(folder: Path) -> None:
     told = process.communicate(timeout=60)[1]
     assert process.returncode == 130
     assert "Traceback" not in told
+    stopped, blank, hint = told.splitlines()[-3:]
+    n_done = sum(row["status"] == "done" for row in json.loads(report.read_text()))
+    assert stopped == f"stopped: {n_done} of 24 results are there"
+    assert (blank, hint) == ("", "hint: run the same command again; results that are there are skipped")
     statuses = {row["name"]: row["status"] for row in json.loads(report.read_text())}
     assert len(statuses) == 24
     assert [statuses[name] for name in ("a.ply", "b.ply", "c00.ply")] == ["done"] * 3
     assert [statuses[name] for name in ("c19.ply", "d.stl", "deep/c.off")] == ["stopped"] * 3
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ([], "results that are there are skipped"),
+        (["--overwrite"], "with --overwrite it begins with the first"),
+    ],
+)
+def test_a_stopped_run_says_how_to_go_on(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    told: str,
+) -> None:
+    command = ["denoise", str(folder), str(folder.parent / "out"), "--method", "taubin", *options]
+    with monkeypatch.context() as patch:
+        stop_at("d.stl", patch)
+        assert main([*command, "--quiet"]) == 130
+        assert capsys.readouterr() == ("", "")
+        assert main(command) == 130
+    *_, stopped, blank, hint = capsys.readouterr().err.splitlines()
+    assert (stopped, blank) == ("stopped: 2 of 4 results are there", "")
+    assert hint == f"hint: run the same command again; {told}"
+    assert main(command) == 0
+    counts = "4 done, 0 skipped" if options else "2 done, 2 skipped"
+    assert counts in capsys.readouterr().err
 
 
 # --- what it never replaces --------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from pathlib import Path
 
@@ -11,11 +12,13 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gcnd.errors import MeshError
+from gcnd.errors import MeshError, MeshWarning
+from gcnd.filters import Filter
 from gcnd.formats.export import needs_float64
 from gcnd.formats.parsed import ParsedMesh, rgba_from_values, split_seams
 from gcnd.formats.ply import read_ply, write_ply
-from gcnd.mesh_io import load, save
+from gcnd.many import denoise_many
+from gcnd.mesh_io import load, read_shape, save
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 TWO_FACES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -323,5 +326,28 @@ def test_binary_stl_that_begins_with_solid(tmp_path: Path) -> None:
     assert load(tmp_path / "c.stl").face_attributes["stl"].tolist() == [77, 0]
     with pytest.raises(MeshError, match="announces 100 bytes of faces and holds 90"):
         load(written(tmp_path, "d.stl", bytes(data[:-10])))
-    with pytest.raises(MeshError, match="3 bytes follow the 2 faces"):
-        load(written(tmp_path, "e.stl", bytes(data) + b"abc"))
+    with pytest.raises(MeshError, match="50 bytes follow the 2 faces"):
+        load(written(tmp_path, "e.stl", bytes(data) + bytes(50)))
+
+
+@pytest.mark.parametrize("n_more", [1, 49])
+def test_a_few_bytes_behind_a_binary_stl_are_told_and_kept(tmp_path: Path, n_more: int) -> None:
+    save((SQUARE, TWO_FACES), tmp_path / "a.stl")
+    data = (tmp_path / "a.stl").read_bytes()
+    source = written(tmp_path, "b.stl", data + bytes(range(1, n_more + 1)))
+    message = f"{source}: {n_more} bytes behind its 2 faces belong to none"
+    for read in (load, read_shape):
+        with pytest.warns(MeshWarning, match=re.escape(message)) as told:
+            read(source)
+        assert [warning.filename for warning in told] == [__file__]
+    with pytest.warns(MeshWarning):
+        (outcome,) = denoise_many([source], tmp_path / "out", denoiser=Filter("taubin"), reports=True)
+    assert outcome.warnings[0] == message
+    assert outcome.report is not None
+    assert outcome.report["warnings"] == list(outcome.warnings)
+    result = (tmp_path / "out" / "b.stl").read_bytes()
+    assert result[len(data) :] == bytes(range(1, n_more + 1))
+    assert result[:84] == data[:84]
+    plain = written(tmp_path, "c.stl", data)
+    denoise_many([plain], tmp_path / "out", denoiser=Filter("taubin"))
+    assert result[: len(data)] == (tmp_path / "out" / "c.stl").read_bytes()

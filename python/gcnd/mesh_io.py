@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import io
 import os
+import warnings
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gcnd.errors import GcndError, MeshError
+from gcnd.errors import GcndError, MeshError, MeshWarning
 from gcnd.formats.atomic import write_atomic, write_hint
-from gcnd.formats.beside import libraries_of_line, resolver_beside
+from gcnd.formats.beside import resolver_beside
+from gcnd.formats.build import build
 from gcnd.formats.export import encode
 from gcnd.formats.glb import check_glb
 from gcnd.formats.glb_scene import read_glb_shape
@@ -38,7 +39,18 @@ from gcnd.meshes.registry import take_apart
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["SUPPORTED", "MeshArrays", "Shape", "check_output_path", "load", "read_shape", "save", "to_arrays"]
+__all__ = [
+    "FILE_WARNINGS",
+    "SUPPORTED",
+    "MeshArrays",
+    "Shape",
+    "check_input_path",
+    "check_output_path",
+    "load",
+    "read_shape",
+    "save",
+    "to_arrays",
+]
 
 MeshPath: TypeAlias = "str | os.PathLike[str]"
 Result = TypeVar("Result")
@@ -49,9 +61,13 @@ _READERS: Mapping[str, Callable[..., ParsedMesh]] = {
     ".stl": read_stl,
     ".off": read_off,
 }
+_OTHER_HINTS = {".gltf": "; export it again as .glb, which is glTF in one file"}
 _WITH_POLYGONS = (".ply", ".obj", ".off")
 SUPPORTED: tuple[str, ...] = (*_READERS, ".glb")
 """The file extensions that can be read and written."""
+
+FILE_WARNINGS = "file_warnings"
+"""In the metadata of a mesh: what is odd about the file that it was read from, in sentences."""
 
 
 def to_arrays(mesh: Any, *, triangulate: bool = False) -> tuple[MeshArrays, Callable[[ArrayLike], Any]]:
@@ -141,6 +157,9 @@ def load(path: MeshPath, *, shape_only: bool = False, triangulate: bool = False)
         MeshError: If the file is missing, of another kind, cut off or damaged; if it holds no faces, or a
             face that is not a triangle (named by its number); or a coordinate that is not finite.
 
+    Warns:
+        MeshWarning: A few bytes follow the last face of a binary STL.
+
     Example:
         >>> from gcnd.mesh_io import load  # doctest: +SKIP
         >>> load("scan.ply").vertices.shape  # doctest: +SKIP
@@ -209,6 +228,21 @@ def _written_again(mesh: Any, source: Path, path: Path) -> dict[Path, bytes] | N
     return {**copies_of_referred(data, source, path), path: changed}
 
 
+def check_input_path(path: MeshPath) -> None:
+    """Checks that a file may be a mesh, before anything is said of where its result goes.
+
+    Args:
+        path: The file.
+
+    Raises:
+        MeshError: It is a folder, or its extension is not supported.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise MeshError(f"{path} is a folder, not a mesh file", "name a file in it")
+    _known_extension(path)
+
+
 def check_output_path(path: MeshPath, *others: MeshPath, is_mesh: bool = True) -> None:
     """Checks that a file can be written to `path`, to be called before any long work.
 
@@ -250,15 +284,15 @@ def _known_extension(path: Path) -> str:
     extension = path.suffix.lower()
     if extension not in SUPPORTED:
         what = f"unknown mesh format '{extension}'" if extension else "no file extension"
-        raise MeshError(f"{path}: {what}", f"supported: {', '.join(SUPPORTED)}")
+        hint = f"supported: {', '.join(SUPPORTED)}"
+        raise MeshError(f"{path}: {what}", f"{hint}{_OTHER_HINTS.get(extension, '')}")
     return extension
 
 
 def _read(path: Path, parse: Callable[[bytes], Result]) -> Result:
     """What ``parse`` makes of a file's bytes; an error names the file and its format."""
-    if path.is_dir():
-        raise MeshError(f"{path} is a folder, not a mesh file", "name a file in it")
-    extension = _known_extension(path)
+    check_input_path(path)
+    extension = path.suffix.lower()
     data = _read_bytes(path)
     try:
         return parse(data)
@@ -286,7 +320,8 @@ def _built(data: bytes, path: Path, shape_only: bool, triangulate: bool) -> trim
         parsed, material = (read_glb_shape(data), None) if shape_only else _read_glb(data, path)
     else:
         parsed = _parsed(data, extension, triangulate)
-    return _build(parsed, checked(parsed.vertices, parsed.faces), material, path)
+    _warn(parsed, path)
+    return build(parsed, checked(parsed.vertices, parsed.faces), material, path)
 
 
 def _shape_of(data: bytes, path: Path) -> Shape:
@@ -296,6 +331,7 @@ def _shape_of(data: bytes, path: Path) -> Shape:
         parsed = read_glb_shape(data, resolver_beside(path.absolute().parent).get)
     else:
         parsed = _parsed(data, extension, triangulate=True)
+    _warn(parsed, path)
     return Shape(checked(parsed.vertices, parsed.faces), parsed.polygons, parsed.face_attributes)
 
 
@@ -334,62 +370,13 @@ def _read_glb(data: bytes, path: Path) -> tuple[ParsedMesh, Any]:
     return merge_scene(scene)
 
 
-def _build(parsed: ParsedMesh, arrays: MeshArrays, material: Any, path: Path) -> trimesh.Trimesh:
-    """Makes the trimesh object; colours and texture go where trimesh keeps them."""
-    import trimesh
-
-    visuals: Any = trimesh.visual
-    if material is None:
-        material = _material(parsed, path)
-    mesh = trimesh.Trimesh(arrays.vertices, arrays.faces.astype(np.int64), process=False)
-    mesh.metadata.update(parsed.metadata)
-    mesh.vertex_attributes.update(parsed.vertex_attributes)
-    mesh.face_attributes.update(parsed.face_attributes)
-    has_colors = parsed.vertex_colors is not None or parsed.face_colors is not None
-    if parsed.uv is not None or (material is not None and not has_colors):
-        material = visuals.material.SimpleMaterial() if material is None else material
-        visual = visuals.TextureVisuals(uv=parsed.uv, material=material)
-        if parsed.vertex_colors is not None:
-            visual.vertex_attributes["color"] = parsed.vertex_colors
-        mesh.visual = visual
-    elif parsed.vertex_colors is not None:
-        mesh.visual = visuals.ColorVisuals(mesh, vertex_colors=parsed.vertex_colors)
-    elif parsed.face_colors is not None:
-        mesh.visual = visuals.ColorVisuals(mesh, face_colors=parsed.face_colors)
-    if parsed.face_colors is not None and (parsed.uv is not None or parsed.vertex_colors is not None):
-        channels = zip(("red", "green", "blue", "alpha"), parsed.face_colors.T, strict=True)
-        mesh.face_attributes.update({name: channel.copy() for name, channel in channels})
-    return mesh
-
-
-def _material(parsed: ParsedMesh, path: Path) -> Any:
-    """The one material or texture that a PLY or OBJ file names, if it can be read."""
-    import trimesh
-
-    folder = path.absolute().parent
-    resolver = resolver_beside(folder)
-    simple_material: Any = trimesh.visual.material.SimpleMaterial
-    parse_library: Any = trimesh.exchange.obj.parse_mtl
-    libraries = [name for line in parsed.material_libraries for name in libraries_of_line(folder, line)]
-    if "materials" in parsed.metadata:
-        parsed.metadata["material_libraries"] = [str(folder / name) for name in libraries]
-    material: Any = None
-    # A missing or broken material costs the look, not the shape: go on without it.
-    for library in libraries if parsed.material is not None else ():
-        with suppress(OSError, ValueError, KeyError, TypeError):
-            found = parse_library(resolver.get(library), resolver=resolver)
-            material = material or simple_material(**found[parsed.material])
-    if parsed.texture is not None:
-        with suppress(ImportError, OSError, ValueError):
-            from PIL import Image
-
-            picture = Image.open(io.BytesIO(resolver.get(parsed.texture)))
-            picture.info["file_path"] = parsed.texture
-            material = simple_material(image=picture)
-    image = getattr(material, "image", None)
-    if image is not None and image.info.get("file_path"):
-        image.info["file_path"] = str(folder / image.info["file_path"])
-    return material
+def _warn(parsed: ParsedMesh, path: Path) -> None:
+    """Tells what is odd about a file; its mesh knows it too, for reports."""
+    if parsed.oddity is not None:
+        told = f"{path}: {parsed.oddity}"
+        parsed.metadata[FILE_WARNINGS] = [told]
+        # Seen from the caller of what reads the file.
+        warnings.warn(told, MeshWarning, stacklevel=6)
 
 
 def _same_shape(vertices: ArrayLike, arrays: MeshArrays) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from gcnd import _geom
 from gcnd.controls import Controls
 from gcnd.errors import MeshWarning
 from gcnd.memory import check_memory
-from gcnd.mesh_io import MeshArrays, load, to_arrays
+from gcnd.mesh_io import FILE_WARNINGS, MeshArrays, load, to_arrays
 from gcnd.report import make_report
 from gcnd.spikes import Spikes
 from gcnd.stages import Progress, Stages
@@ -131,6 +131,7 @@ def run_on(
     stages(0.0, "adjacency")
     surface = as_surface(mesh_once)
     start = Start(surface.topology, surface.mesh.vertices, takes_spikes_off=takes_spikes_off)
+    told_by_file = _told_by_file(mesh)
     told = surface.told + (start.spikes.told() if start.spikes else ())
     for sentence in told:
         # Seen from here: the method's run, what called it, and the caller's own line.
@@ -143,4 +144,13 @@ def run_on(
     result = rebuild(after)
     stages(1.0, "done")
     described = {**method, **moved.described, "controls": controls.described()}
-    return Denoised(result, moved.confidence, arrays, after, stages.seconds, described, told, start.spikes)
+    return Denoised(
+        result, moved.confidence, arrays, after, stages.seconds, described, told_by_file + told, start.spikes
+    )
+
+
+def _told_by_file(mesh: Any) -> tuple[str, ...]:
+    """What `load` has warned of already."""
+    metadata = getattr(mesh, "metadata", None)
+    told = metadata.get(FILE_WARNINGS) if isinstance(metadata, dict) else None
+    return tuple(map(str, told)) if isinstance(told, list) else ()

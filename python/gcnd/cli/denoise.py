@@ -210,10 +210,11 @@ def run(
 def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: bool, as_json: bool) -> None:
     with nothing_to_lose():
         from gcnd.formats.referred import paths_of_referred
-        from gcnd.mesh_io import check_output_path
+        from gcnd.mesh_io import check_input_path, check_output_path
         from gcnd.report import write_report
         from gcnd.results import check_confidence_path, load_source, write_denoised
 
+        check_input_path(input_mesh)
         check_output_path(output_mesh, input_mesh)
         if request.confidence:
             check_confidence_path(output_mesh)

@@ -16,7 +16,7 @@ from gcnd.cli.progress import show_progress
 from gcnd.errors import GcndError, MeshError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from gcnd.cli.denoise import Request
     from gcnd.many import Outcome
@@ -78,22 +78,36 @@ def run_folder(
     except KeyboardInterrupt:
         if request.report is not None:
             _write_report(request.report, known, results, output_folder)
+        if not quiet:
+            _tell_how_to_go_on(known.values(), len(files), overwrite)
         raise
     if request.report is not None:
         _write_report(request.report, known, results, output_folder)
-    failed = sum(outcome.status == "failed" for outcome in outcomes)
     if as_json:
         print_json({"settings": request.settings, "files": [_row(outcome) for outcome in outcomes]})
-    elif failed or not quiet or any(outcome.warnings for outcome in outcomes):
-        _print_table(outcomes if not quiet else [o for o in outcomes if o.status == "failed" or o.warnings])
-        counts = [
-            (status, sum(o.status == status for o in outcomes)) for status in ("done", "skipped", "failed")
-        ]
-        if dict(counts)["skipped"]:
-            print(SKIPPED_HINT, file=sys.stderr)
-        print(", ".join(f"{count} {status}" for status, count in counts), file=sys.stderr)
-    if failed:
+    else:
+        _print_summary(outcomes, quiet)
+    if any(outcome.status == "failed" for outcome in outcomes):
         raise typer.Exit(1)
+
+
+def _print_summary(outcomes: Sequence[Outcome], quiet: bool) -> None:
+    """Prints the table and how many there are of each status; when quiet only what failed or has warnings, if any."""
+    shown = [o for o in outcomes if not quiet or o.status == "failed" or o.warnings]
+    if not shown:
+        return
+    _print_table(shown)
+    counts = {status: sum(o.status == status for o in outcomes) for status in ("done", "skipped", "failed")}
+    if counts["skipped"]:
+        print(SKIPPED_HINT, file=sys.stderr)
+    print(", ".join(f"{count} {status}" for status, count in counts.items()), file=sys.stderr)
+
+
+def _tell_how_to_go_on(known: Iterable[Outcome], n_files: int, overwrite: bool) -> None:
+    n_there = sum(outcome.status != "failed" for outcome in known)
+    print(f"stopped: {n_there} of {n_files} results are there", file=sys.stderr)
+    then = "with --overwrite it begins with the first" if overwrite else "results that are there are skipped"
+    print(f"\nhint: run the same command again; {then}", file=sys.stderr)
 
 
 def _check_report_path(path: Path, results: Mapping[Path, Path]) -> None:

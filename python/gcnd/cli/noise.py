@@ -76,8 +76,9 @@ def run(
     seed: Seed = 0,
 ) -> None:
     """Add noise to the vertices of IN, or scan it, and write the result to OUT."""
-    from gcnd.mesh_io import check_output_path
+    from gcnd.mesh_io import check_input_path, check_output_path
 
+    check_input_path(input_mesh)
     check_output_path(output_mesh, input_mesh)
     if kind in _SCANS:
         if level is not None:

@@ -47,6 +47,7 @@ class ParsedMesh:
         material: Name of the one material in use, or None.
         source_vertex: int64 (V,), the file's vertex of each vertex here, where seams repeat some; or None.
         polygons: Which faces of the file the triangles stand for, where some have more corners; or None.
+        oddity: What is wrong with the file and does no harm, in a few words; or None.
     """
 
     vertices: NDArray[np.float64]
@@ -62,6 +63,7 @@ class ParsedMesh:
     material: str | None = None
     source_vertex: NDArray[np.int64] | None = None
     polygons: Polygons | None = None
+    oddity: str | None = None
 
     def repeat_vertices(self, source_vertex: NDArray[np.int64]) -> None:
         """Replaces the vertices, and every value per vertex, by the rows `source_vertex` names.

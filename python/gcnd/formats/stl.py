@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gcnd.errors import MeshError
 from gcnd.formats.parsed import DAMAGED_HINT, ParsedMesh, polygon_error, truncated_error
 
-__all__ = ["HEADER_BYTES", "RECORD", "read_stl", "write_stl"]
+__all__ = ["HEADER_BYTES", "RECORD", "binary_faces", "read_stl", "write_stl"]
 
 RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 HEADER_BYTES = 84
@@ -27,26 +27,45 @@ def read_stl(data: bytes) -> ParsedMesh:
         data: The whole file.
 
     Returns:
-        The mesh; `face_attributes["stl"]` holds the two spare bytes of binary faces when any is set.
+        The mesh; `face_attributes["stl"]` holds the two spare bytes of binary faces when any is set. A few bytes more,
+        less than a face has, are its `oddity`.
 
     Raises:
         MeshError: If the file is no STL file, is cut off, or has a face that is not a triangle.
     """
-    is_text = data.lstrip()[:5].lower() == b"solid"
-    n_faces = int.from_bytes(data[80:84], "little") if len(data) >= HEADER_BYTES else 0
-    n_bytes = len(data) - HEADER_BYTES
-    # Many binary files begin with the word "solid" as well; only the length tells.
-    if n_bytes == n_faces * RECORD.itemsize:
-        return _read_binary(data, n_faces)
-    if is_text and b"facet" in data[:4096].lower():
+    n_faces = binary_faces(data)
+    if n_faces is None:
         return _read_text(data)
     if len(data) < HEADER_BYTES:
         raise MeshError(f"{len(data)} bytes are too short for an STL file", DAMAGED_HINT)
-    if n_bytes < n_faces * RECORD.itemsize:
-        raise truncated_error("bytes of faces", n_faces * RECORD.itemsize, n_bytes)
-    raise MeshError(
-        f"{n_bytes - n_faces * RECORD.itemsize} bytes follow the {n_faces} faces it announces", DAMAGED_HINT
-    )
+    n_expected, n_bytes = n_faces * RECORD.itemsize, len(data) - HEADER_BYTES
+    if n_bytes < n_expected:
+        raise truncated_error("bytes of faces", n_expected, n_bytes)
+    n_more = n_bytes - n_expected
+    if n_more >= RECORD.itemsize:
+        raise MeshError(f"{n_more} bytes follow the {n_faces} faces it announces", DAMAGED_HINT)
+    parsed = _read_binary(data, n_faces)
+    if n_more:
+        # Too few for a face that the count has left out: what some programs add.
+        parsed.oddity = f"{n_more} bytes behind its {n_faces} faces belong to none"
+    return parsed
+
+
+def binary_faces(data: bytes) -> int | None:
+    """Tells how many faces a binary STL file announces.
+
+    Args:
+        data: The whole file.
+
+    Returns:
+        The number, 0 for a file that is too short to say; None for a text.
+    """
+    n_faces = int.from_bytes(data[80:84], "little") if len(data) >= HEADER_BYTES else 0
+    # Many binary files begin with the word "solid" as well; only the length tells.
+    if len(data) == HEADER_BYTES + n_faces * RECORD.itemsize:
+        return n_faces
+    is_text = data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096].lower()
+    return None if is_text else n_faces
 
 
 def _soup(corners: NDArray[np.float64]) -> ParsedMesh:

@@ -7,7 +7,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from gcnd.formats.stl import HEADER_BYTES, RECORD
+from gcnd.formats.stl import HEADER_BYTES, RECORD, binary_faces
 from gcnd.formats.words import replaced_words
 from gcnd.meshes.normals import Motion
 
@@ -28,7 +28,7 @@ def rewrite_stl(data: bytes, motion: Motion) -> bytes:
     """
     n_faces = len(motion.faces)
     corners = motion.after[motion.faces]
-    if len(data) == HEADER_BYTES + n_faces * RECORD.itemsize:
+    if binary_faces(data) is not None:
         changed = bytearray(data)
         rows = np.ndarray((n_faces,), dtype=RECORD, buffer=changed, offset=HEADER_BYTES)
         moved = motion.has_moved
