@@ -89,6 +89,12 @@ def endless(**_settings: Any) -> Made:
     return run
 
 
+def announced(path: str) -> Made:
+    """Says by a file that it has begun, and does not end."""
+    Path(path).touch()
+    return endless()
+
+
 def first_call_slow(pause: float) -> Made:
     calls: list[int] = []
 

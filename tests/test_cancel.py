@@ -173,6 +173,32 @@ def test_ctrl_c_that_a_library_swallows_is_noticed() -> None:
         check_interrupted()  # of this block there was none
 
 
+@pytest.mark.skipif(os.name == "nt", reason="signals of another kind")
+def test_a_signal_that_ends_is_taken_once_and_in_a_process_of_its_own_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    numbers = (signal.SIGTERM, signal.SIGHUP)
+    with interrupt.tidying_up():
+        assert [signal.getsignal(number) for number in numbers] == [signal.SIG_DFL] * 2
+    monkeypatch.setattr(interrupt, "_owns_process", threading.Event())
+    interrupt.own_process()
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as under nohup
+    try:
+        with interrupt.tidying_up(), show_progress(quiet=True) as progress:
+            signal.raise_signal(signal.SIGHUP)
+            with pytest.raises(interrupt.Ended) as ended:
+                signal.raise_signal(signal.SIGTERM)
+            assert ended.value.exit_code == 143
+            signal.raise_signal(signal.SIGTERM)  # a second one does not stop the tidying
+            with pytest.raises(interrupt.Ended):  # and who swallows the first is told again
+                progress(0.5, "after")
+        assert [signal.getsignal(number) for number in numbers] == [signal.SIG_DFL, signal.SIG_IGN]
+        with interrupt.tidying_up():
+            check_interrupted()  # of this block there was none
+    finally:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 def test_the_callers_handler_comes_back(tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGINT)
     assert main(["info", str(tmp_path / "none.ply")]) == 1

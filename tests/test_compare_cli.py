@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,61 @@ def test_ctrl_c_keeps_rows_and_ends_with_130(tmp_path: Path) -> None:
     assert kept[:3] == ["noisy", "taubin[iterations=1]", "taubin[iterations=2]"]
     assert len(kept) < 60
     assert not (out / "report.html").exists()
+
+
+def children_of(parent: int) -> list[int]:
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has ended by now
+            # The name in the second field, in brackets, may hold anything.
+            fields = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()
+            if int(fields[1]) == parent:
+                found.append(int(folder.name))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds processes in /proc")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGKILL"])
+def test_a_signal_leaves_nothing_behind_and_the_same_command_goes_on(tmp_path: Path, name: str) -> None:
+    data, out, temporary = write_meshes(tmp_path / "data", "a.ply"), tmp_path / "out", tmp_path / "temporary"
+    temporary.mkdir()
+    # The second takes seconds, in which the signal comes.
+    methods = ["--methods", "taubin,l0[mu_beta=1.001],laplacian"]
+    arguments = ["compare", str(data), "--out", str(out), *methods, *QUICK]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "gcnd.cli", *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"TMPDIR": str(temporary)},
+    )
+    rows, running, deadline = out / "rows.jsonl", [], time.monotonic() + 100
+    while time.monotonic() < deadline and not running:
+        time.sleep(0.02)
+        if rows.exists() and rows.read_bytes().count(b"\n") == 2 and list(temporary.glob("*/input.npz")):
+            running = children_of(process.pid)
+    assert running
+    process.send_signal(getattr(signal, name))
+    errors = process.communicate(timeout=60)[1]
+    number = int(getattr(signal, name))
+    assert process.returncode == (-number if name == "SIGKILL" else 128 + number)
+    assert "Traceback" not in errors
+    if name == "SIGKILL":  # what is left is the child's to end and to remove
+        while time.monotonic() < deadline and (
+            list(temporary.iterdir()) or Path(f"/proc/{running[0]}").exists()
+        ):
+            time.sleep(0.02)
+    else:
+        told = f"stopped: finished rows are in {out}, and the same command goes on"
+        assert errors.splitlines()[-1] == told
+    assert list(temporary.iterdir()) == []
+    assert not [child for child in running if Path(f"/proc/{child}").exists()]
+    kept = rows.read_bytes()
+    assert [json.loads(line)["method"] for line in kept.splitlines()] == ["noisy", "taubin"]
+    assert main([*arguments, "--quiet"]) == 0
+    whole = rows.read_bytes()
+    assert whole.startswith(kept)
+    assert [json.loads(line)["error"] for line in whole.splitlines()] == [None] * 4
 
 
 def test_bad_input_is_told_without_a_traceback(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,8 +5,12 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
+import signal
 import subprocess
 import sys
+import tempfile
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -102,19 +106,46 @@ def test_a_method_that_takes_too_long_is_ended() -> None:
     assert outcome(method(given.endless), timeout=5).error == "took longer than 5 s"
 
 
-def test_a_child_ends_with_its_parent(tmp_path: Path) -> None:
-    job = {"entry": "compare_cases:endless", "settings": {}, "threads": 1}
-    (tmp_path / "job.json").write_text(json.dumps(job), encoding="utf-8")
+def test_a_child_ends_with_its_parent_alone_and_removes_its_folder(tmp_path: Path) -> None:
+    folder, begun = tmp_path / "job", tmp_path / "begun"
+    folder.mkdir()
+    job = {"entry": "compare_cases:announced", "settings": {"path": str(begun)}, "threads": 1}
+    (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
     mesh = ball()
-    np.savez(tmp_path / "input.npz", vertices=mesh.noisy, faces=mesh.faces)
-    command = [sys.executable, "-m", "gcnd.compare.worker", str(tmp_path)]
+    np.savez(folder / "input.npz", vertices=mesh.noisy, faces=mesh.faces)
+    command = [sys.executable, "-m", "gcnd.compare.worker", str(folder)]
     child = subprocess.Popen(command, stdin=subprocess.PIPE)
+    deadline = time.monotonic() + 60
+    while not begun.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    if os.name != "nt":
+        child.send_signal(signal.SIGTERM)
+        child.send_signal(signal.SIGHUP)
     with pytest.raises(subprocess.TimeoutExpired):
-        child.wait(3)
+        child.wait(1)
     assert child.stdin is not None
     child.stdin.close()
     assert child.wait(30) == 1
-    assert not (tmp_path / "report.json").exists()
+    assert not folder.exists()
+
+
+def test_a_signal_while_files_are_removed_leaves_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    remove, calls = shutil.rmtree, []
+
+    def interrupted(folder: Path, **options: Any) -> None:
+        calls.append(folder)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        remove(folder, **options)
+
+    monkeypatch.setattr("gcnd.compare.child.shutil.rmtree", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        outcome(method(given.same))
+    assert len(calls) == 2
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_rows_of_a_comparison(out: Path) -> None:

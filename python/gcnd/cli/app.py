@@ -11,7 +11,7 @@ import typer
 
 from gcnd.cli import compare, denoise, evaluate, info, models, noise, train, train_report, view
 from gcnd.cli.caution import telling_warnings
-from gcnd.cli.interrupt import EXIT_INTERRUPTED, exit_now, noticing_ctrl_c, own_process
+from gcnd.cli.interrupt import EXIT_INTERRUPTED, EXIT_SIGNAL, Ended, exit_now, noticing_ctrl_c, own_process
 from gcnd.errors import GcndError
 
 __all__ = ["app", "main", "program"]
@@ -48,7 +48,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit code: 0; 1 for an error in the input, files or parameters, and, without a word, when the
-        reader of stdout is gone; 2 for a wrong command line; 130 when interrupted.
+        reader of stdout is gone; 2 for a wrong command line; 130 when interrupted, and 128 plus the number of
+        another signal that ended a comparison.
     """
     try:
         try:
@@ -73,6 +74,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _tell("out of memory", "close other programs, or use a machine with more memory")
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
+    except Ended as ended:
+        return ended.exit_code
     return 0
 
 
@@ -80,7 +83,7 @@ def program() -> NoReturn:
     """Runs the command line as a process of its own, which Ctrl-C ends at once."""
     own_process()
     code = main()
-    if code == EXIT_INTERRUPTED:
+    if code > EXIT_SIGNAL:
         exit_now(code)
     sys.exit(code)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from enum import Enum
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gcnd.cli.interrupt import Ended, tidying_up
 from gcnd.cli.options import JsonFlag, Seed, print_json
 from gcnd.cli.progress import show_progress
 from gcnd.errors import ConfigError, GcndError
@@ -88,7 +89,7 @@ def run(
         raise ConfigError("no method is left to compare", hint="; ".join(skipped))
     options = {"dataset": dataset, **asdict(conditions), **asdict(plan)}
     try:
-        with ExitStack() as held, show_progress(quiet=quiet) as progress:
+        with tidying_up(), ExitStack() as held, show_progress(quiet=quiet) as progress:
             # A folder that is there or is written to at once is held from the start, another once all is read.
             if out.is_dir() or dataset == BUILTIN:
                 held.enter_context(only_writer(out))
@@ -105,8 +106,9 @@ def run(
             lines = finish(
                 out, options, cases, usable, rows, skipped=skipped, pictures=pictures.value, progress=progress
             )
-    except KeyboardInterrupt:
-        print(f"stopped: finished rows are in {out}, and the same command goes on", file=sys.stderr)
+    except (KeyboardInterrupt, Ended):
+        with suppress(OSError):  # a terminal that was closed reads no more
+            print(f"stopped: finished rows are in {out}, and the same command goes on", file=sys.stderr)
         raise
     if as_json:
         print_json([asdict(line) for line in lines])

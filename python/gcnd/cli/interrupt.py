@@ -1,4 +1,6 @@
-"""Ctrl-C: noticed even where a library swallows it, and obeyed without waiting for libraries to be unloaded."""
+"""Ctrl-C and other signals that end a program: noticed even where a library swallows them, and obeyed without waiting
+for libraries to be unloaded.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +15,38 @@ from typing import NoReturn
 
 __all__ = [
     "EXIT_INTERRUPTED",
+    "EXIT_SIGNAL",
+    "Ended",
     "check_interrupted",
     "exit_now",
     "nothing_to_lose",
     "noticing_ctrl_c",
     "own_process",
+    "tidying_up",
 ]
 
-EXIT_INTERRUPTED = 130
+EXIT_SIGNAL = 128
+"""Plus a signal's number: the exit code of what that signal ended, as shells have it."""
+
+EXIT_INTERRUPTED = EXIT_SIGNAL + 2
+
+_ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 _interrupted = threading.Event()
 _owns_process = threading.Event()
+_ended_by: list[int] = []
+
+
+class Ended(BaseException):
+    """Says that a signal other than Ctrl-C's asks the process to end, as `kill` and a terminal that is closed send it.
+
+    Args:
+        number: Of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.exit_code = EXIT_SIGNAL + number
 
 
 @contextmanager
@@ -66,13 +89,40 @@ def nothing_to_lose() -> Iterator[None]:
         signal.signal(signal.SIGINT, previous)
 
 
+@contextmanager
+def tidying_up() -> Iterator[None]:
+    """Lets SIGTERM, and SIGHUP where there is one, raise `Ended` while the block runs, so that nothing is left behind.
+
+    The first of them alone does: a second must not stop the tidying. Only in a process of the command line's own, and
+    what is ignored, as under `nohup`, stays so.
+    """
+    taken = [n for n in _ENDING if _owns_process.is_set() and signal.getsignal(n) is signal.SIG_DFL]
+    _ended_by.clear()
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        for each in taken:
+            signal.signal(each, signal.SIG_IGN)
+        _ended_by.append(number)
+        raise Ended(number)
+
+    for number in taken:
+        signal.signal(number, handle)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
+
+
 def own_process() -> None:
     """Says that the process is the command line's own; to be called from its main thread."""
     _owns_process.set()
 
 
 def check_interrupted() -> None:
-    """Raises ``KeyboardInterrupt`` if Ctrl-C came since `noticing_ctrl_c` began."""
+    """Raises ``KeyboardInterrupt`` if Ctrl-C came since `noticing_ctrl_c` began, and `Ended` as `tidying_up` does."""
+    if _ended_by:
+        raise Ended(_ended_by[0])
     if _interrupted.is_set():
         raise KeyboardInterrupt
 

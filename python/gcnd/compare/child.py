@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -64,8 +66,7 @@ def run_in_child(
     Returns:
         The result; whatever goes wrong in the process, a crash of it included, is its ``error``.
     """
-    with tempfile.TemporaryDirectory(prefix="gcnd-compare-") as name:
-        folder = Path(name)
+    with _job_folder() as folder:
         job = {"entry": method.entry, "settings": dict(method.settings), "threads": threads}
         (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
         np.savez(folder / "input.npz", vertices=vertices, faces=faces)
@@ -78,6 +79,21 @@ def run_in_child(
         return _checked(folder / "output.npz", vertices, faces, report)
 
 
+@contextmanager
+def _job_folder() -> Iterator[Path]:
+    """A folder for as long as the block runs, which a signal does not leave behind, whenever it comes."""
+    folder = Path(tempfile.mkdtemp(prefix="gcnd-compare-"))
+    try:
+        yield folder
+    finally:
+        try:
+            shutil.rmtree(folder)
+        except BaseException:
+            # Ctrl-C while the files are removed, as a rule; what is raised is what there is to tell.
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+
+
 def _wait(folder: Path, threads: int, timeout: float) -> str | None:
     """Runs the worker to its end; returns why it left no report, or None."""
     environment = os.environ | dict.fromkeys(_THREAD_VARIABLES, str(threads))
@@ -88,7 +104,7 @@ def _wait(folder: Path, threads: int, timeout: float) -> str | None:
             stdout=log,
             stderr=subprocess.STDOUT,
             env=environment,
-            # Ctrl-C is the parent's to handle: it ends the child and keeps the rows.
+            # Signals are the parent's to handle: it ends the child and keeps the rows.
             start_new_session=True,
         )
         try:

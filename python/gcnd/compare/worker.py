@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import signal
 import sys
 import threading
 import time
@@ -20,7 +22,8 @@ _MIB = 1 / 1024
 
 def main(folder: Path) -> None:
     """Reads ``job.json`` and ``input.npz``, writes ``output.npz`` and ``report.json`` into the same folder."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _leave_signals_to_parent()
+    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
     pin(job["threads"])
     try:
@@ -101,10 +104,19 @@ def _forget_peak() -> None:
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
-def _end_with_parent() -> None:
-    """Ends this process when its parent is gone, which closes the pipe."""
+def _leave_signals_to_parent() -> None:
+    """Ignores what ends a group of processes: the parent ends this one, and takes it for no crash of the method."""
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+
+
+def _end_with_parent(folder: Path) -> None:
+    """Ends this process when its parent is gone, which closes the pipe, and removes what the parent cannot any more."""
     # Not sys.stdin, whose lock the interpreter wants at its end.
     os.read(0, 1)
+    # Nobody is left to tell what could not be removed.
+    shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)
 
 
