@@ -98,6 +98,7 @@ RANGES: dict[str, dict[str, tuple[tuple[Any, ...], str]]] = {
         "normal_iterations": COUNT,
         "vertex_iterations": COUNT,
         "fix_boundary": SWITCH,
+        "fixed_step": SWITCH,
     },
     "laplacian": {"lambda_": STEP, "iterations": COUNT, "fix_boundary": SWITCH},
     "taubin": {

@@ -143,7 +143,7 @@ def test_every_parameter_reaches_the_filter() -> None:
         "sigma_r": 0.5, "sigma_s": 0.07, "radius": 3.5, "smoothness": 0.3, "threshold": 0.7, "lambda_": 0.4,
         "alpha": 0.4, "mu": -0.8, "mu_alpha": 0.9, "beta": 0.02, "beta_max": 10.0, "alpha1": 3.0,
         "alpha0": 2.0, "mu_beta": 2.0,
-        "fix_boundary": None, "iterations": 3, "normal_iterations": 3, "vertex_iterations": 3,
+        "fix_boundary": None, "fixed_step": None, "iterations": 3, "normal_iterations": 3, "vertex_iterations": 3,
         "sigma_m": 0.4, "similar_patches": 4, "patch_size": 20, "search_rings": 2,
     }  # fmt: skip
     for info in list_filters():

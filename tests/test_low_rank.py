@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, GcndError
 from gcnd.filters import apply_filter
 from reference import low_rank as reference
 from reference.meshes import cube, jittered, open_sphere
@@ -31,6 +31,7 @@ def meshes() -> list[Arrays]:
         {"patch_size": 12, "search_rings": 3},
         {"patch_size": 20, "search_rings": 4, "similar_patches": 25, "sigma_m": 0.35, "vertex_iterations": 5},
         {"patch_size": 12, "search_rings": 2, "similar_patches": 1},
+        {"patch_size": 12, "search_rings": 3, "vertex_iterations": 9, "fixed_step": True},
     ],
 )
 @pytest.mark.parametrize("mesh", meshes())
@@ -40,6 +41,17 @@ def test_low_rank_is_the_reference(mesh: Arrays, parameters: dict[str, Any]) -> 
     moved, _ = apply_filter(mesh, "low-rank", **parameters)
     assert np.abs(moved - expected).max() < 1e-10
     assert np.abs(moved - vertices).max() > 0.01
+
+
+def test_a_fixed_step_diverges_around_a_vertex_of_many_faces() -> None:
+    angles = np.arange(40) * np.pi / 20
+    vertices = np.vstack([[0.0, 0.0, 0.1], np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)])
+    faces = np.array([[0, 1 + i, 1 + (i + 1) % 40] for i in range(40)])
+    options = {"vertex_iterations": 20, "fix_boundary": True}
+    moved, _ = apply_filter((vertices, faces), "low-rank", **options)
+    assert np.abs(moved).max() <= 1.0
+    with pytest.raises(GcndError, match=r"diverged in iteration \d+"):
+        apply_filter((vertices, faces), "low-rank", **options, fixed_step=True)
 
 
 def test_a_component_smaller_than_a_patch_is_a_patch() -> None:

@@ -231,6 +231,7 @@ def low_rank(
     normal_iterations: int = 1,
     vertex_iterations: int = 10,
     fix_boundary: bool = False,
+    fixed_step: bool = False,
     progress: StepProgress | None = None,
 ) -> Points:
     """Normals of patches alike as matrices of low rank (Li et al. 2018), then Eq. 6."""

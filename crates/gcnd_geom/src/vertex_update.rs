@@ -71,13 +71,22 @@ pub(crate) struct VertexUpdater<'a> {
     planes: Vec<Plane>,
     next: Vec<DVec3>,
     rim: Rim,
+    /// What a vertex's sum over its faces is divided by; `None` for their number.
+    divisor: Option<f64>,
 }
 
 impl<'a> VertexUpdater<'a> {
     /// Takes unit or zero normals (F).
     pub fn new(topology: &'a Topology, normals: &[DVec3], boundary: Boundary) -> Self {
         let planes = normals.iter().map(|&normal| Plane { normal, offset: 0.0 }).collect();
-        Self { topology, planes, next: Vec::new(), rim: Rim::new(topology, boundary) }
+        Self { topology, planes, next: Vec::new(), rim: Rim::new(topology, boundary), divisor: None }
+    }
+
+    /// Takes steps of 1/18 of the sum over faces and edges whatever |F_i| is, that is 6 in its place, the mean number of
+    /// faces around a vertex of a closed mesh.
+    pub fn with_fixed_step(mut self) -> Self {
+        self.divisor = Some(6.0);
+        self
     }
 
     /// Replaces the normals (F) by others.
@@ -92,7 +101,7 @@ impl<'a> VertexUpdater<'a> {
         place_planes(self.topology, current, &mut self.planes);
         self.rim.place(current);
         self.next.resize(current.len(), DVec3::ZERO);
-        step(self.topology, current, &self.planes, &self.rim, &mut self.next);
+        step(self.topology, current, &self.planes, &self.rim, self.divisor, &mut self.next);
         std::mem::swap(current, &mut self.next);
     }
 }
@@ -118,7 +127,14 @@ fn place_planes(topology: &Topology, vertices: &[DVec3], planes: &mut [Plane]) {
 ///
 /// The two edges of a face at v_i add up to (v_a − v_i) + (v_b − v_i) = 3 (c − v_i), so the sum over them,
 /// over 3, is n (n · c − n · v_i): the way to the face's plane, and one record is read per face.
-fn step(topology: &Topology, current: &[DVec3], planes: &[Plane], rim: &Rim, next: &mut [DVec3]) {
+fn step(
+    topology: &Topology,
+    current: &[DVec3],
+    planes: &[Plane],
+    rim: &Rim,
+    divisor: Option<f64>,
+    next: &mut [DVec3],
+) {
     let vertex_faces = topology.vertex_faces();
     next.par_iter_mut().zip(current).enumerate().with_min_len(CHUNK).for_each(|(vertex_id, (moved, &v))| {
         let row = vertex_faces.row(vertex_id);
@@ -128,7 +144,8 @@ fn step(topology: &Topology, current: &[DVec3], planes: &[Plane], rim: &Rim, nex
             sum += normal * (offset - normal.dot(v));
         }
         let normal = || row.iter().map(|&face_id| planes[face_id as usize].normal).sum();
-        *moved = if row.is_empty() { v } else { v + rim.held(vertex_id, sum / row.len() as f64, normal) };
+        let divisor = divisor.unwrap_or(row.len() as f64);
+        *moved = if row.is_empty() { v } else { v + rim.held(vertex_id, sum / divisor, normal) };
     });
 }
 
@@ -189,6 +206,16 @@ mod tests {
         for (a, b) in moved.iter().zip(&expected) {
             assert!(a.distance(*b) < 1e-15, "{a} {b}");
         }
+    }
+
+    #[test]
+    fn a_fixed_step_is_a_sixth_of_the_sum_over_faces() {
+        // As above, with one face around each vertex: a sixth of the way.
+        let (mut vertices, faces) = (vec![DVec3::ZERO, DVec3::X, DVec3::new(0.0, 1.0, 3.0)], vec![[0, 1, 2]]);
+        let topology = Topology::new(faces, 3).expect("valid");
+        VertexUpdater::new(&topology, &[DVec3::Z], Boundary::Free).with_fixed_step().step(&mut vertices);
+        let heights: Vec<f64> = vertices.iter().map(|v| v.z).collect();
+        assert_eq!(heights, [1.0 / 6.0, 1.0 / 6.0, 3.0 - 2.0 / 6.0]);
     }
 
     #[test]

@@ -109,7 +109,7 @@ pub fn fast_effective<'py>(
 
 #[pyfunction]
 #[pyo3(signature = (topology, vertices, *, sigma_m=0.2, similar_patches=10, patch_size=50, search_rings=10,
-                    normal_iterations=1, vertex_iterations=10, fix_boundary=false, progress=None))]
+                    normal_iterations=1, vertex_iterations=10, fix_boundary=false, fixed_step=false, progress=None))]
 #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
 pub fn low_rank<'py>(
     py: Python<'py>,
@@ -139,6 +139,7 @@ pub fn low_rank<'py>(
 #[pyfunction]
 #[pyo3(signature = (topology, vertices, *, alpha1=1.0, alpha0=0.5, beta=2.5, normal_iterations=50,
                     vertex_iterations=20, fix_boundary=false, progress=None))]
+    fixed_step: bool,
 #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
 pub fn tgv<'py>(
     py: Python<'py>,
@@ -149,6 +150,7 @@ pub fn tgv<'py>(
     beta: f64,
     normal_iterations: usize,
     vertex_iterations: usize,
+        fixed_step,
     fix_boundary: bool,
     progress: Option<Py<PyAny>>,
 ) -> Positions<'py> {

@@ -115,13 +115,23 @@ pub fn bilateral_normal(
 /// The end of a normal filter: vertex updating, watched.
 pub(crate) fn move_to_normals(
     topology: &Topology,
-    mut run: Run<'_, '_>,
-    mut positions: Vec<DVec3>,
+    run: Run<'_, '_>,
+    positions: Vec<DVec3>,
     normals: &[DVec3],
     vertex_iterations: usize,
     fix_boundary: bool,
 ) -> Result<Vec<DVec3>> {
-    let mut updater = VertexUpdater::new(topology, normals, Boundary::held_if(fix_boundary));
+    let updater = VertexUpdater::new(topology, normals, Boundary::held_if(fix_boundary));
+    move_by(updater, run, positions, vertex_iterations)
+}
+
+/// Passes of vertex updating, watched.
+pub(crate) fn move_by(
+    mut updater: VertexUpdater<'_>,
+    mut run: Run<'_, '_>,
+    mut positions: Vec<DVec3>,
+    vertex_iterations: usize,
+) -> Result<Vec<DVec3>> {
     for _ in 0..vertex_iterations {
         updater.step(&mut positions);
         run.tick_positions(&positions)?;

@@ -6,11 +6,12 @@ mod shrinkage;
 
 use crate::error::{Result, check_parameter, check_positive};
 use crate::face_geometry::FaceGeometry;
-use crate::normals::bilateral::move_to_normals;
+use crate::normals::bilateral::move_by;
 use crate::normals::kernel::{CHUNK, Filter, OwnNormal, STORED_BYTES_PER_FACE, unit_or_zero};
 use crate::normals::neighborhood::Neighborhood;
 use crate::normals::refine::RefineParams;
 use crate::topology::Topology;
+use crate::vertex_update::{Boundary, VertexUpdater};
 use crate::watch::{Run, Watch};
 use glam::DVec3;
 use patches::Patches;
@@ -39,6 +40,9 @@ pub struct LowRankParams {
     pub vertex_iterations: usize,
     /// Whether vertices on a boundary stay where they are.
     pub fix_boundary: bool,
+    /// Whether a vertex moves by 1/18 of the sum of Eq. 6 however many faces it has, as in the authors' program, and not by
+    /// 1 / (3 |F_i|); from 18 faces around a vertex on, that overshoots more in each pass, and diverges.
+    pub fixed_step: bool,
 }
 
 impl Default for LowRankParams {
@@ -51,6 +55,7 @@ impl Default for LowRankParams {
             normal_iterations: 1,
             vertex_iterations: 10,
             fix_boundary: false,
+            fixed_step: false,
         }
     }
 }
@@ -137,7 +142,9 @@ pub fn low_rank(
             .map(|(face, normal)| mean_or(*normal, face.iter().map(|&v| recovered[v as usize])))
             .collect();
     }
-    move_to_normals(topology, run, positions, &normals, params.vertex_iterations, params.fix_boundary)
+    let updater = VertexUpdater::new(topology, &normals, Boundary::held_if(params.fix_boundary));
+    let updater = if params.fixed_step { updater.with_fixed_step() } else { updater };
+    move_by(updater, run, positions, params.vertex_iterations)
 }
 
 /// Vertex normals (V) of bilaterally filtered face normals.
