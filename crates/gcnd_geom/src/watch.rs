@@ -32,7 +32,8 @@ pub struct Watch<'a> {
 }
 
 impl<'a> Watch<'a> {
-    /// Calls `report` after each iteration with its number, from 1, and the total of all steps.
+    /// Calls `report` after each iteration with its number, from 1, and the total of all steps. Where an iteration takes
+    /// long, it may be called within as well, with the number of the last one that is done, 0 before the first.
     pub fn new(report: &'a mut Report<'a>) -> Self {
         Self { report: Some(report) }
     }
@@ -62,6 +63,14 @@ impl<'r, 'w> Ticks<'r, 'w> {
     /// [`GeomError::Cancelled`] with its number when whoever watches does not want to go on.
     pub fn tick(&mut self) -> Result<()> {
         self.iteration += 1;
+        self.ask()
+    }
+
+    /// Asks in the middle of an iteration.
+    ///
+    /// # Errors
+    /// [`GeomError::Cancelled`] with the number of the last iteration that was done.
+    pub fn ask(&mut self) -> Result<()> {
         let iteration = self.iteration;
         match self.watch.report.as_mut().map(|report| report(iteration, self.total)) {
             Some(ControlFlow::Break(())) => Err(GeomError::Cancelled { iteration }),
@@ -108,6 +117,11 @@ impl<'r, 'w> Run<'r, 'w> {
         let positions = vertices.iter().map(|v| *v * scale).collect();
         let ticks = Ticks::new(total, watch);
         Ok((Self { ticks, scale, low, high }, positions))
+    }
+
+    /// Asks in the middle of an iteration whether to go on.
+    pub fn ask(&mut self) -> Result<()> {
+        self.ticks.ask()
     }
 
     /// Counts an iteration that changed no positions.

@@ -278,6 +278,9 @@ fn every_iteration_can_be_the_last() {
             ControlFlow::Continue(())
         };
         (filter.run)(&topology, &mesh.0, &mut Watch::new(&mut report)).expect("valid");
+        // Within a long iteration it may be asked as well, with the number of the last one that is done.
+        seen.dedup();
+        seen.retain(|(iteration, _)| *iteration > 0);
         let total = seen.len();
         let expected: Vec<_> = (1..=total).map(|iteration| (iteration, total)).collect();
         assert_eq!(seen, expected, "{}", filter.name);

@@ -2,7 +2,10 @@
 
 use gcnd_geom::face_geometry::FaceGeometry;
 use gcnd_geom::fixtures;
-use gcnd_geom::normals::{AdaptiveParams, RefineParams, refine_consistent, refine_normals};
+use gcnd_geom::normals::{
+    AdaptiveParams, ImplicitNormalParams, RefineParams, bilateral_normal_implicit, refine_consistent,
+    refine_normals,
+};
 use gcnd_geom::patch::{PatchExtractor, PatchParams};
 use gcnd_geom::vertex_update::{Boundary, update_vertices};
 use gcnd_geom::{DVec3, GeomError, Result, Topology, Watch};
@@ -35,6 +38,31 @@ fn noisy() -> Noisy {
     fixtures::jitter(&mut vertices, 0.02, 7);
     let normals = FaceGeometry::compute(&vertices, &faces).normals;
     Noisy { topology: Topology::new(faces, vertices.len()).expect("valid"), vertices, normals }
+}
+
+#[test]
+fn the_implicit_scheme_asks_after_every_step_of_its_solver() {
+    let Noisy { topology, vertices, .. } = noisy();
+    let params = ImplicitNormalParams { vertex_iterations: 0, ..ImplicitNormalParams::default() };
+    let told_until = |last: usize| {
+        let mut told = Vec::new();
+        let mut report = |iteration, total| {
+            told.push((iteration, total));
+            if told.len() < last { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        };
+        let result = bilateral_normal_implicit(&topology, &vertices, &params, &mut Watch::new(&mut report));
+        (told, result.map(drop))
+    };
+    let (all, result) = told_until(usize::MAX);
+    assert_eq!(result, Ok(()));
+    let steps: Vec<usize> =
+        (0..3).map(|axis| all.iter().filter(|told| **told == (axis, 3)).count()).collect();
+    assert!(steps.iter().all(|n| *n > 10), "{steps:?}");
+    for last in [1, 7, steps[0] + 3] {
+        let (told, result) = told_until(last);
+        assert_eq!(told, all[..last]);
+        assert_eq!(result, Err(GeomError::Cancelled { iteration: all[last - 1].0 }));
+    }
 }
 
 #[test]

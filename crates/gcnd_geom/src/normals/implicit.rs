@@ -12,6 +12,7 @@ use faer::matrix_free::{IdentityPrecond, LinOp};
 use faer::{MatMut, MatRef, Par};
 use glam::DVec3;
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Parameters of [`bilateral_normal_implicit`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,7 +59,8 @@ impl ImplicitNormalParams {
 ///
 /// - `topology`, `vertices` (V), in mesh units; they are not changed.
 /// - `params`: see [`ImplicitNormalParams`].
-/// - `watch`: hears of the three coordinates of the normals, then of every pass of vertex updating.
+/// - `watch`: hears of the three coordinates of the normals, then of every pass of vertex updating; within a coordinate it
+///   is asked after every step of the solver.
 ///
 /// Returns (V) new positions, in mesh units. A face without area takes its neighbours' mean and has no say in theirs.
 ///
@@ -100,7 +102,7 @@ pub fn bilateral_normal_implicit(
     let mut solved = [const { Vec::new() }; 3];
     for (axis, solution) in solved.iter_mut().enumerate() {
         let given: Vec<f64> = geometry.normals.iter().map(|n| n[axis]).collect();
-        *solution = energy.minimize(&given).ok_or_else(|| run.diverged())?;
+        *solution = energy.minimize(&given, || run.ask())?.ok_or_else(|| run.diverged())?;
         run.tick()?;
     }
     let [x, y, z] = solved;
@@ -124,6 +126,7 @@ struct Energy {
     /// One over the sum of a_j · W_s · W_r; zero for a face that listens to nobody.
     per_sum: Vec<f64>,
     smoothness: f64,
+    is_stopped: AtomicBool,
 }
 
 impl std::fmt::Debug for Energy {
@@ -170,11 +173,13 @@ impl Energy {
                 if sum >= f64::MIN_POSITIVE { sum.recip() } else { 0.0 }
             })
             .collect();
-        Self { starts, neighbors, kernels, areas: areas.clone(), per_sum, smoothness }
+        let (areas, is_stopped) = (areas.clone(), AtomicBool::new(false));
+        Self { starts, neighbors, kernels, areas, per_sum, smoothness, is_stopped }
     }
 
-    /// One coordinate of n' for one coordinate of n; `None` if that is beyond the solver.
-    fn minimize(&self, given: &[f64]) -> Option<Vec<f64>> {
+    /// One coordinate of n' for one coordinate of n; `None` if that is beyond the solver. `ask` is called after each of
+    /// the solver's steps, and its error ends it.
+    fn minimize(&self, given: &[f64], mut ask: impl FnMut() -> Result<()>) -> Result<Option<Vec<f64>>> {
         let n = given.len();
         let right: Vec<f64> = given.iter().map(|x| self.smoothness * x).collect();
         let mut solution = given.to_vec();
@@ -182,17 +187,22 @@ impl Energy {
         // One thread for the sums, so that they do not depend on how many there are.
         let mut memory = MemBuffer::new(conjugate_gradient_scratch(precond, self, 1, Par::Seq));
         let params = CgParams { rel_tolerance: 1e-10, max_iters: 10_000, ..CgParams::default() };
+        let mut told = Ok(());
         let result = conjugate_gradient(
             MatMut::from_column_major_slice_mut(&mut solution, n, 1),
             precond,
             self,
             MatRef::from_column_major_slice(&right, n, 1),
             params,
-            |_| {},
+            |_| {
+                told = ask();
+                self.is_stopped.store(told.is_err(), Ordering::Relaxed);
+            },
             Par::Seq,
             MemStack::new(&mut memory),
         );
-        (result.is_ok() && solution.iter().all(|x| x.is_finite())).then_some(solution)
+        told?;
+        Ok((result.is_ok() && solution.iter().all(|x| x.is_finite())).then_some(solution))
     }
 
     fn sum(&self, i: usize, term: impl Fn(usize) -> f64) -> f64 {
@@ -228,6 +238,11 @@ impl LinOp<f64> for Energy {
     }
 
     fn apply(&self, mut out: MatMut<'_, f64>, rhs: MatRef<'_, f64>, _par: Par, _stack: &mut MemStack) {
+        if self.is_stopped.load(Ordering::Relaxed) {
+            // The solver cannot be told to stop, but it ends at once where the operator is not positive.
+            out.fill(f64::NAN);
+            return;
+        }
         for column in 0..rhs.ncols() {
             let x: Vec<f64> = rhs.col(column).iter().copied().collect();
             for (i, value) in self.apply_to(&x).into_iter().enumerate() {
@@ -244,7 +259,7 @@ impl LinOp<f64> for Energy {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixtures;
+    use crate::{GeomError, fixtures};
 
     fn energy(mesh: &fixtures::MeshParts, smoothness: f64) -> (Energy, FaceGeometry) {
         let geometry = FaceGeometry::compute(&mesh.0, &mesh.1);
@@ -267,9 +282,27 @@ mod tests {
         fixtures::jitter(&mut vertices, 0.05, 2);
         let (energy, geometry) = energy(&(vertices, faces), 0.01);
         let given: Vec<f64> = geometry.normals.iter().map(|n| n.y).collect();
-        let solution = energy.minimize(&given).expect("solvable");
+        let solution = energy.minimize(&given, || Ok(())).expect("not stopped").expect("solvable");
         for (left, given) in energy.apply_to(&solution).iter().zip(&given) {
             assert!((left - 0.01 * given).abs() < 1e-10);
+        }
+    }
+
+    #[test]
+    fn the_solver_ends_within_a_step_of_a_no() {
+        let (mut vertices, faces) = fixtures::icosphere(2);
+        fixtures::jitter(&mut vertices, 0.05, 2);
+        let (energy, geometry) = energy(&(vertices, faces), 0.01);
+        let given: Vec<f64> = geometry.normals.iter().map(|n| n.y).collect();
+        for last in [1, 5] {
+            let (mut n_asked, stop) = (0, GeomError::Cancelled { iteration: 0 });
+            let ask = || {
+                n_asked += 1;
+                if n_asked < last { Ok(()) } else { Err(stop.clone()) }
+            };
+            assert_eq!(energy.minimize(&given, ask), Err(stop.clone()));
+            assert_eq!(n_asked, last);
+            energy.is_stopped.store(false, Ordering::Relaxed);
         }
     }
 
