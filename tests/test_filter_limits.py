@@ -171,12 +171,12 @@ DIVERGING: list[tuple[str, dict[str, Any], tuple[int, int]]] = [
     ("taubin", {"lambda_": 1e-3}, (2, 10)),
     ("taubin", {"mu": -2.0}, (2, 10)),
     ("hc-laplacian", {"alpha": 0.0, "beta": 0.0, "iterations": 500}, (5, 100)),
-    ("l0", {"alpha": 1e15}, (1, 1)),
-    ("l0", {"alpha": 1.7e308}, (1, 1)),
+    ("l0", {"alpha": 1e15}, (2, 2)),
+    ("l0", {"alpha": 1.7e308}, (2, 2)),
     ("l0", {"alpha": 1.0, "mu_alpha": 1.0, "beta_max": 1e17}, (80, 140)),
     ("tgv", {"alpha1": 1e16}, (1, 1)),
     ("tgv", {"alpha1": 1.7e308, "alpha0": 1e308}, (1, 1)),
-    ("tgv", {"alpha0": 1e16}, (1, 1)),
+    ("tgv", {"alpha0": 1e16}, (3, 3)),
     ("tgv", {"beta": 1e-16}, (1, 1)),
 ]
 

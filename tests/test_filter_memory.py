@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from gcnd.filters import list_filters
+from gcnd.memory import filter_bytes_a_face
 
 ROOT = Path(__file__).parent.parent
 BENCH = ROOT / "benches" / "filter_memory.py"
@@ -27,6 +28,14 @@ def bounds() -> dict[str, float]:
 
 def test_every_filter_has_a_bound() -> None:
     assert set(bounds()) == {info.name for info in list_filters()}
+
+
+def test_what_was_measured_is_less_than_what_is_foreseen() -> None:
+    text = (ROOT / "docs" / "limits.md").read_text(encoding="utf-8")
+    measured = {name: float(mib.replace(",", "")) for name, mib, bound in ROW.findall(text) if bound}
+    assert set(measured) == {info.name for info in list_filters()}
+    for name, mib in measured.items():  # at 50,000 to 200,000 faces
+        assert mib * 2**20 / 1e6 < filter_bytes_a_face(name, 100_000), name
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gcnd.memory import BYTES_A_FACE, needed_bytes
+from gcnd.memory import BYTES_A_FACE, BYTES_OF_FACTORS, needed_bytes
 
 LIMITS = (Path(__file__).parent.parent / "docs" / "limits.md").read_text(encoding="utf-8")
 
@@ -69,6 +69,8 @@ def test_a_mesh_takes_no_more_than_is_stated(preset: str, sides: tuple[int, int]
 
 
 def test_what_is_foreseen_is_what_is_stated() -> None:
+    for method, bytes_a_face in BYTES_OF_FACTORS.items():
+        assert stated(rf"`{method}` at ([\d,]+) bytes a face") == bytes_a_face
     assert stated(r"estimated at ([\d,]+) bytes a face") == BYTES_A_FACE
     assert stated(r"plus ([\d,]+) for a vertex beyond") == needed_bytes(7, 12) - needed_bytes(6, 12)
     # More than was measured, so that no mesh is begun that does not fit.

@@ -246,6 +246,7 @@ def tgv(
     normal_iterations: int = 50,
     vertex_iterations: int = 20,
     fix_boundary: bool = False,
+    memory: int | None = None,
     progress: StepProgress | None = None,
 ) -> Points:
     """Normals that bend evenly, or at creases (Liu et al. 2022), then Eq. 6."""
@@ -265,6 +266,7 @@ def l0(
     beta: float = 0.001,
     beta_max: float = 1000.0,
     mu_beta: float = 1.4142135623730951,
+    memory: int | None = None,
     progress: StepProgress | None = None,
 ) -> Points:
     """As few bent edges as possible (He, Schaefer 2013, Eqs. 5, 8 and 9)."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gcnd import _geom
 from gcnd.controls import Controls
 from gcnd.errors import ConfigError, check_count
+from gcnd.memory import available_bytes, filter_bytes_a_face
 from gcnd.runs import Denoised, Moved, run_on
 
 if TYPE_CHECKING:
@@ -124,7 +125,8 @@ def apply_filter(
         The same kind as ``mesh`` (a ``trimesh.Trimesh`` for a path), with float64 positions or the input's dtype.
 
     Raises:
-        MeshError: The mesh cannot be worked on: no faces, NaN, an index out of range, a file that is not a mesh.
+        MeshError: The mesh cannot be worked on: no faces, NaN, an index out of range, a file that is not a mesh; or
+            more memory is needed than is free.
         ConfigError: The filter or a parameter is unknown, or a parameter is out of range.
         GcndError: The filter diverged: a position left the mesh's bounding box by more than its longest side, or is no
             longer a number. The iteration is told, and the input is as it was.
@@ -170,11 +172,20 @@ class Filter:
                 stages(iteration / total, self.method)
 
             run = _find(self.method)
-            moved = run(surface.topology, start.positions, progress=report, **self.parameters)
+            # What factorises systems knows how large they are before it takes the memory.
+            limit = {"memory": available_bytes()} if "memory" in inspect.signature(run).parameters else {}
+            moved = run(surface.topology, start.positions, progress=report, **limit, **self.parameters)
             return Moved(start.way_back(moved))
 
-        described = {"filter": self.method, "parameters": all_parameters(self.method, self.parameters)}
-        return run_on(mesh, move, self.controls, described, progress, self.triangulate)
+        parameters = all_parameters(self.method, self.parameters)
+        described = {"filter": self.method, "parameters": parameters}
+
+        def bytes_a_face(n_faces: int) -> int:
+            return filter_bytes_a_face(self.method, n_faces, parameters.get("patch_size") or 0)
+
+        return run_on(
+            mesh, move, self.controls, described, progress, self.triangulate, bytes_a_face=bytes_a_face
+        )
 
 
 def all_parameters(method: str, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -240,10 +251,10 @@ def _find(method: str) -> Callable[..., Any]:
 
 
 def _defaults(function: Callable[..., Any]) -> dict[str, bool | int | float | None]:
-    """A filter's own parameters, which stand in its signature as keywords, `progress` last."""
+    """A filter's own parameters, which stand in its signature as keywords, beside those that are ours to give."""
     signature = inspect.signature(function)
     keywords = [p for p in signature.parameters.values() if p.kind is inspect.Parameter.KEYWORD_ONLY]
-    return {p.name: p.default for p in keywords if p.name != "progress"}
+    return {p.name: p.default for p in keywords if p.name not in ("memory", "progress")}
 
 
 def _known(method: str, defaults: Mapping[str, Any], name: str) -> str:

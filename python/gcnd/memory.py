@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from gcnd.errors import MeshError
 
-__all__ = ["available_bytes", "check_memory", "needed_bytes"]
+__all__ = ["available_bytes", "check_memory", "filter_bytes_a_face", "needed_bytes"]
 
 BYTES_A_FACE = 700
 """A face of a mesh in work: 575 measured between 100,000 and 1,000,000 faces (docs/limits.md), and a quarter."""
+
+BYTES_OF_FACTORS = {"l0": 140, "tgv": 350}
+"""Filters that factorise systems: a face takes so many bytes times the binary logarithm of the number of faces, a fifth
+and more above what was measured (docs/limits.md)."""
 
 _MEMINFO, _CGROUP = Path("/proc/meminfo"), Path("/sys/fs/cgroup")
 
@@ -39,12 +44,33 @@ def _cached_bytes() -> int:
     return next((int(line.split()[1]) for line in lines if line.startswith("inactive_file ")), 0)
 
 
-def needed_bytes(n_vertices: int, n_faces: int) -> int:
+def filter_bytes_a_face(method: str, n_faces: int, patch_size: int = 50) -> int:
+    """Estimates what a filter takes for each face of a mesh.
+
+    Args:
+        method: Name of the filter.
+        n_faces: F.
+        patch_size: Of ``low-rank``, which keeps so many numbers of 4 bytes for each vertex, at 50 within the usual.
+
+    Returns:
+        Bytes; what the network takes for most of them.
+
+    Example:
+        >>> [filter_bytes_a_face(name, 1 << 20) for name in ("taubin", "l0", "tgv")]
+        [700, 2800, 7000]
+    """
+    of_factors = BYTES_OF_FACTORS.get(method, 0) * math.log2(max(2, n_faces))
+    of_patches = 2 * max(0, patch_size - 50) if method == "low-rank" else 0
+    return max(BYTES_A_FACE + of_patches, math.ceil(of_factors))
+
+
+def needed_bytes(n_vertices: int, n_faces: int, bytes_a_face: int = BYTES_A_FACE) -> int:
     """Estimates what denoising a mesh takes on top of the program itself.
 
     Args:
         n_vertices: V; a mesh has half as many as faces, and only what goes beyond that is counted apart.
         n_faces: F.
+        bytes_a_face: Of the method.
 
     Returns:
         Bytes.
@@ -53,20 +79,21 @@ def needed_bytes(n_vertices: int, n_faces: int) -> int:
         >>> needed_bytes(500_000, 1_000_000)
         700000000
     """
-    return BYTES_A_FACE * n_faces + 200 * max(0, n_vertices - n_faces // 2)
+    return bytes_a_face * n_faces + 200 * max(0, n_vertices - n_faces // 2)
 
 
-def check_memory(n_vertices: int, n_faces: int) -> None:
+def check_memory(n_vertices: int, n_faces: int, bytes_a_face: int = BYTES_A_FACE) -> None:
     """Checks that there is memory for a mesh, before any long work.
 
     Args:
         n_vertices: V.
         n_faces: F.
+        bytes_a_face: Of the method.
 
     Raises:
         MeshError: There is too little.
     """
-    needed, free = needed_bytes(n_vertices, n_faces), available_bytes()
+    needed, free = needed_bytes(n_vertices, n_faces, bytes_a_face), available_bytes()
     if free is not None and needed > free:
         raise MeshError(
             f"{n_faces:,} faces need about {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free",

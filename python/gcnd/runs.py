@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gcnd import _geom
 from gcnd.controls import Controls
 from gcnd.errors import MeshWarning
-from gcnd.memory import check_memory
+from gcnd.memory import BYTES_A_FACE, check_memory
 from gcnd.mesh_io import FILE_WARNINGS, MeshArrays, load, to_arrays
 from gcnd.report import make_report
 from gcnd.spikes import Spikes
@@ -98,6 +98,7 @@ def run_on(
     triangulate: bool = False,
     *,
     takes_spikes_off: bool = False,
+    bytes_a_face: Callable[[int], int] = lambda n_faces: BYTES_A_FACE,
 ) -> Denoised:
     """Takes a mesh apart, has its vertices moved, applies the controls, and puts it together again.
 
@@ -109,6 +110,7 @@ def run_on(
         progress: Told how far the run has come; returning False cancels.
         triangulate: Whether faces of four corners and more are split for the work.
         takes_spikes_off: Whether the work starts without spikes; see ``gcnd.start``.
+        bytes_a_face: What the method takes for each of so many faces; see ``gcnd.memory``.
 
     Raises:
         MeshError: The mesh cannot be worked on.
@@ -125,7 +127,7 @@ def run_on(
         mesh = load(mesh, triangulate=triangulate)
     arrays, rebuild = to_arrays(mesh, triangulate=triangulate)
     _geom.validate(arrays.vertices, arrays.faces)
-    check_memory(len(arrays.vertices), len(arrays.faces))
+    check_memory(len(arrays.vertices), len(arrays.faces), bytes_a_face(len(arrays.faces)))
     stages.ask()
     mesh_once, finish = controls.bind(mesh, arrays)
     stages(0.0, "adjacency")

@@ -15,7 +15,7 @@ import pytest
 import trimesh
 from fuzz_surface import tiny_cascade, tiny_weights
 
-from gcnd import memory
+from gcnd import filters, memory
 from gcnd.errors import MeshError, WeightsError
 from gcnd.filters import apply_filter
 from gcnd.mesh_io import load, save
@@ -161,6 +161,47 @@ def test_memory_that_is_missing_is_told_before_the_work(monkeypatch: pytest.Monk
     assert "taubin" not in told
     monkeypatch.setattr(memory, "available_bytes", lambda: None)
     assert len(apply_filter(ball, "taubin").faces) == 1280
+
+
+@pytest.mark.parametrize(
+    ("method", "parameters"), [("l0", {}), ("tgv", {}), ("low-rank", {"patch_size": 512})]
+)
+def test_what_filters_take_beyond_the_usual_is_told_before_the_work(
+    method: str, parameters: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    # Enough for a filter that takes no more than the network, and too little for these.
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1_000_000)
+    assert len(apply_filter(ball, "taubin").faces) == 1280
+    told: list[str] = []
+    with pytest.raises(MeshError, match=r"1,280 faces need about .* GB are free"):
+        apply_filter(ball, method, **parameters, progress=lambda _, stage: told.append(stage))
+    assert method not in told
+
+
+def tangled(method: str) -> tuple[np.ndarray, np.ndarray]:
+    """No surface: what the system takes is not seen from the number of faces, but from its pattern."""
+    order = np.random.default_rng(1)
+    if method == "l0":  # a strip that jumps from vertex to vertex
+        strip = np.concatenate([order.permutation(3000) for _ in range(3)])
+        return order.normal(size=(3000, 3)), np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=1)
+    faces = np.array([order.choice(60, 3, replace=False) for _ in range(2000)])
+    return order.normal(size=(60, 3)), faces
+
+
+@pytest.mark.filterwarnings("ignore::gcnd.errors.MeshWarning")
+@pytest.mark.parametrize("method", ["l0", "tgv"])
+def test_a_factor_that_does_not_fit_is_not_made(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    vertices, faces = tangled(method)
+    bytes_a_face = memory.filter_bytes_a_face(method, len(faces))
+    foreseen = memory.needed_bytes(len(vertices), len(faces), bytes_a_face)
+    for module in (filters, memory):
+        monkeypatch.setattr(module, "available_bytes", lambda: foreseen)
+    told: list[float] = []
+    with pytest.raises(MeshError, match=r"the system to be solved takes about .* GB are free") as caught:
+        apply_filter((vertices, faces), method, progress=lambda fraction, _: told.append(fraction))
+    assert caught.value.hint is not None
+    assert max(told) < 0.1
 
 
 def test_what_is_free_is_what_the_group_leaves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 //! Sparse symmetric positive definite systems, whose pattern is analysed once.
 
+use crate::error::Result;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::sparse::linalg::cholesky::{
     LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
@@ -23,9 +24,14 @@ pub(crate) struct Cholesky {
 impl Cholesky {
     /// Analyses a pattern over `0..n`: the keys of its upper triangle, ascending, each once, the diagonal among them.
     ///
+    /// `claim` hears how many bytes the factor and its making will take, before they are taken.
+    ///
+    /// # Errors
+    /// What `claim` returns.
+    ///
     /// # Panics
-    /// If memory runs out.
-    pub fn new(n: usize, keys: &[u64]) -> Self {
+    /// If memory runs out before the factor is known.
+    pub fn new(n: usize, keys: &[u64], claim: impl FnOnce(u64) -> Result<()>) -> Result<Self> {
         let column_starts =
             (0..=n as u64).map(|column| keys.partition_point(|key| key >> 32 < column)).collect();
         let rows = keys.iter().map(|key| *key as u32 as usize).collect();
@@ -34,8 +40,10 @@ impl Cholesky {
         let symbolic =
             factorize_symbolic_cholesky(pattern.as_ref(), Side::Upper, ordering, Default::default())
                 .expect("memory for the pattern of the factor");
+        let scratch = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
+        claim((size_of::<f64>() * symbolic.len_val() + scratch.size_bytes()) as u64)?;
         let factor = vec![0.0; symbolic.len_val()];
-        Self { pattern, symbolic, factor }
+        Ok(Self { pattern, symbolic, factor })
     }
 
     /// Factorises the matrix of these values, in the order of the keys; false if it is not positive definite.
@@ -71,12 +79,19 @@ impl Cholesky {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::GeomError;
 
     #[test]
     fn a_small_system_by_hand() {
         // [[4, 2, 0], [2, 5, 1], [0, 1, 3]] · (1, 2, 3) = (8, 15, 11), and twice the matrix gives half of it.
         let keys = [(0, 0), (0, 1), (1, 1), (1, 2), (2, 2)].map(|(a, b)| entry_key(a, b));
-        let mut system = Cholesky::new(3, &keys);
+        let mut claimed = 0;
+        let claim = |bytes| {
+            claimed = bytes;
+            Ok(())
+        };
+        let mut system = Cholesky::new(3, &keys, claim).expect("allowed");
+        assert!(claimed >= 5 * 8, "five entries and what it takes to make them: {claimed}");
         for scale in [1.0, 2.0] {
             assert!(system.factorize(&[4.0, 2.0, 5.0, 1.0, 3.0].map(|x| scale * x)));
             let mut right = [8.0, 15.0, 11.0, -8.0, -15.0, -11.0];
@@ -87,5 +102,7 @@ mod tests {
         }
         assert!(!system.factorize(&[1.0, 2.0, 1.0, 0.0, 1.0]), "indefinite");
         assert!(!system.factorize(&[f64::NAN, 0.0, 1.0, 0.0, 1.0]));
+        let no = GeomError::OutOfMemory { needed: 5, free: 4 };
+        assert_eq!(Cholesky::new(3, &keys, |_| Err(no.clone())).err(), Some(no));
     }
 }

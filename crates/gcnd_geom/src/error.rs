@@ -60,6 +60,14 @@ pub enum GeomError {
         /// The iteration, counted from 1 over all of the filter's steps.
         iteration: usize,
     },
+    /// A filter is about to take more memory than it may.
+    #[error("the system to be solved takes about {:.1} GB of memory, and {:.1} GB are free", *needed as f64 / 1e9, *free as f64 / 1e9)]
+    OutOfMemory {
+        /// What it would take, in bytes.
+        needed: u64,
+        /// What is left of what it was allowed, in bytes.
+        free: u64,
+    },
     /// Whoever watched a filter asked it to stop.
     #[error("the filter was cancelled after iteration {iteration}; the input is unchanged")]
     Cancelled {

@@ -29,13 +29,21 @@ type Report<'a> = dyn FnMut(usize, usize) -> ControlFlow<()> + Send + 'a;
 #[derive(Default)]
 pub struct Watch<'a> {
     report: Option<&'a mut Report<'a>>,
+    /// Bytes that the work may still take; `None` for any.
+    memory: Option<u64>,
 }
 
 impl<'a> Watch<'a> {
     /// Calls `report` after each iteration with its number, from 1, and the total of all steps. Where an iteration takes
     /// long, it may be called within as well, with the number of the last one that is done, 0 before the first.
     pub fn new(report: &'a mut Report<'a>) -> Self {
-        Self { report: Some(report) }
+        Self { report: Some(report), memory: None }
+    }
+
+    /// Allows the work so many bytes: what would take more, and knows it before, ends with [`GeomError::OutOfMemory`].
+    /// Factors of linear systems do; `None` allows any.
+    pub fn allow_memory(&mut self, bytes: Option<u64>) {
+        self.memory = bytes;
     }
 
     /// Watches nothing; the filter runs to its end.
@@ -117,6 +125,17 @@ impl<'r, 'w> Run<'r, 'w> {
         let positions = vertices.iter().map(|v| *v * scale).collect();
         let ticks = Ticks::new(total, watch);
         Ok((Self { ticks, scale, low, high }, positions))
+    }
+
+    /// Takes so many bytes of what the work may take.
+    ///
+    /// # Errors
+    /// [`GeomError::OutOfMemory`] if less is left.
+    pub fn claim(&mut self, needed: u64) -> Result<()> {
+        let Some(free) = self.ticks.watch.memory else { return Ok(()) };
+        self.ticks.watch.memory =
+            Some(free.checked_sub(needed).ok_or(GeomError::OutOfMemory { needed, free })?);
+        Ok(())
     }
 
     /// Asks in the middle of an iteration whether to go on.
@@ -218,6 +237,20 @@ mod tests {
         assert_eq!(run.check_positions(&positions), Ok(()));
         positions[7] *= 1.001;
         assert_eq!(run.check_positions(&positions), Err(GeomError::Diverged { iteration: 1 }));
+    }
+
+    #[test]
+    fn memory_is_claimed_up_to_what_is_allowed() {
+        let (topology, vertices) = started(1.0);
+        let mut watch = Watch::silent();
+        watch.allow_memory(Some(100));
+        let (mut run, _) = Run::start(&topology, &vertices, 0, &mut watch).expect("valid");
+        assert_eq!(run.claim(60), Ok(()));
+        assert_eq!(run.claim(41), Err(GeomError::OutOfMemory { needed: 41, free: 40 }));
+        assert_eq!(run.claim(40), Ok(()));
+        let (mut watch, most) = (Watch::silent(), u64::MAX);
+        let (mut run, _) = Run::start(&topology, &vertices, 0, &mut watch).expect("valid");
+        assert_eq!((run.claim(most), run.claim(most)), (Ok(()), Ok(())));
     }
 
     #[test]

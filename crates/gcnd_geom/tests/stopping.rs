@@ -3,10 +3,11 @@
 use gcnd_geom::face_geometry::FaceGeometry;
 use gcnd_geom::fixtures;
 use gcnd_geom::normals::{
-    AdaptiveParams, ImplicitNormalParams, RefineParams, bilateral_normal_implicit, refine_consistent,
-    refine_normals,
+    AdaptiveParams, ImplicitNormalParams, RefineParams, TgvParams, bilateral_normal_implicit,
+    refine_consistent, refine_normals, tgv,
 };
 use gcnd_geom::patch::{PatchExtractor, PatchParams};
+use gcnd_geom::smoothing::{L0Params, l0};
 use gcnd_geom::vertex_update::{Boundary, update_vertices};
 use gcnd_geom::{DVec3, GeomError, Result, Topology, Watch};
 use std::ops::ControlFlow;
@@ -62,6 +63,40 @@ fn the_implicit_scheme_asks_after_every_step_of_its_solver() {
         let (told, result) = told_until(last);
         assert_eq!(told, all[..last]);
         assert_eq!(result, Err(GeomError::Cancelled { iteration: all[last - 1].0 }));
+    }
+}
+
+#[test]
+fn total_generalised_variation_asks_around_its_factorisations() {
+    let Noisy { topology, vertices, .. } = noisy();
+    for (normal_iterations, steps) in [(0, 2), (1, 7), (3, 9)] {
+        let params = TgvParams { normal_iterations, vertex_iterations: 2, ..TgvParams::default() };
+        assert_stops_anywhere(steps, |watch| tgv(&topology, &vertices, &params, watch).map(drop));
+    }
+}
+
+#[test]
+fn factors_larger_than_is_allowed_are_not_made() {
+    let Noisy { topology, vertices, .. } = noisy();
+    type Run = fn(&Topology, &[DVec3], &mut Watch<'_>) -> Result<Vec<DVec3>>;
+    let filters: [Run; 2] =
+        [|t, v, w| l0(t, v, &L0Params::default(), w), |t, v, w| tgv(t, v, &TgvParams::default(), w)];
+    for run in filters {
+        let allowed = |bytes| {
+            let mut watch = Watch::silent();
+            watch.allow_memory(bytes);
+            run(&topology, &vertices, &mut watch)
+        };
+        let whole = allowed(None).expect("valid");
+        assert_eq!(allowed(Some(1 << 30)), Ok(whole.clone()));
+        let Err(GeomError::OutOfMemory { needed, free: 1000 }) = allowed(Some(1000)) else {
+            panic!("1000 bytes are enough")
+        };
+        // 642 vertices or 1280 faces have that many entries on the diagonal alone.
+        assert!((642 * 8..1 << 24).contains(&needed), "{needed}");
+        // With the first one, and no more, the second system of `tgv` is not made.
+        let result = allowed(Some(needed));
+        assert!(result == Ok(whole) || matches!(result, Err(GeomError::OutOfMemory { free: 0, .. })));
     }
 }
 

@@ -24,9 +24,26 @@ fn run<'py, P: Sync>(
     params: &P,
     progress: Option<Py<PyAny>>,
 ) -> Positions<'py> {
+    run_within(py, filter, topology, vertices, params, progress, None)
+}
+
+/// As [`run`], with so many bytes of memory for what can tell before what it will take.
+fn run_within<'py, P: Sync>(
+    py: Python<'py>,
+    filter: Filter<P>,
+    topology: &PyTopology,
+    vertices: &Points<'py>,
+    params: &P,
+    progress: Option<Py<PyAny>>,
+    memory: Option<u64>,
+) -> Positions<'py> {
     let vertices = arrays::points("vertices", vertices)?;
     let topology = &topology.inner;
-    arrays::triples(py, watched(py, progress, |watch| filter(topology, vertices, params, watch))?)
+    let work = |watch: &mut Watch<'_>| {
+        watch.allow_memory(memory);
+        filter(topology, vertices, params, watch)
+    };
+    arrays::triples(py, watched(py, progress, work)?)
 }
 
 #[pyfunction]
@@ -122,6 +139,7 @@ pub fn low_rank<'py>(
     normal_iterations: usize,
     vertex_iterations: usize,
     fix_boundary: bool,
+    fixed_step: bool,
     progress: Option<Py<PyAny>>,
 ) -> Positions<'py> {
     let params = LowRankParams {
@@ -132,14 +150,14 @@ pub fn low_rank<'py>(
         normal_iterations,
         vertex_iterations,
         fix_boundary,
+        fixed_step,
     };
     run(py, normals::low_rank, topology, &vertices, &params, progress)
 }
 
 #[pyfunction]
 #[pyo3(signature = (topology, vertices, *, alpha1=1.0, alpha0=0.5, beta=2.5, normal_iterations=50,
-                    vertex_iterations=20, fix_boundary=false, progress=None))]
-    fixed_step: bool,
+                    vertex_iterations=20, fix_boundary=false, memory=None, progress=None))]
 #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
 pub fn tgv<'py>(
     py: Python<'py>,
@@ -150,12 +168,12 @@ pub fn tgv<'py>(
     beta: f64,
     normal_iterations: usize,
     vertex_iterations: usize,
-        fixed_step,
     fix_boundary: bool,
+    memory: Option<u64>,
     progress: Option<Py<PyAny>>,
 ) -> Positions<'py> {
     let params = TgvParams { alpha1, alpha0, beta, normal_iterations, vertex_iterations, fix_boundary };
-    run(py, normals::tgv, topology, &vertices, &params, progress)
+    run_within(py, normals::tgv, topology, &vertices, &params, progress, memory)
 }
 
 #[pyfunction]
@@ -174,9 +192,9 @@ pub fn bilateral_mesh<'py>(
 // pyo3 by itself can tell Python literals alone.
 #[pyo3(
     signature = (topology, vertices, *, lambda_=None, alpha=None, mu_alpha=0.5, beta=0.001, beta_max=1000.0,
-                 mu_beta=SQRT_2, progress=None),
+                 mu_beta=SQRT_2, memory=None, progress=None),
     text_signature = "(topology, vertices, *, lambda_=None, alpha=None, mu_alpha=0.5, beta=0.001, beta_max=1000.0, \
-                      mu_beta=1.4142135623730951, progress=None)"
+                      mu_beta=1.4142135623730951, memory=None, progress=None)"
 )]
 #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
 pub fn l0<'py>(
@@ -189,10 +207,11 @@ pub fn l0<'py>(
     beta: f64,
     beta_max: f64,
     mu_beta: f64,
+    memory: Option<u64>,
     progress: Option<Py<PyAny>>,
 ) -> Positions<'py> {
     let params = L0Params { lambda: lambda_, alpha, mu_alpha, beta, beta_max, mu_beta };
-    run(py, smoothing::l0, topology, &vertices, &params, progress)
+    run_within(py, smoothing::l0, topology, &vertices, &params, progress, memory)
 }
 
 #[pyfunction]

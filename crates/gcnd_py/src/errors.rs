@@ -17,6 +17,10 @@ pub fn to_python(error: &GeomError) -> PyErr {
         }
         GeomError::Diverged { .. } => GcndError::new_err((message, "choose milder parameters")),
         GeomError::Cancelled { .. } => GcndError::new_err(message),
+        GeomError::OutOfMemory { .. } => MeshError::new_err((
+            message,
+            "close other programs, cut the mesh into parts, or use a machine with more memory",
+        )),
         _ => MeshError::new_err(message),
     }
 }

@@ -67,7 +67,8 @@ impl TgvParams {
 ///
 /// - `topology`, `vertices` (V), in mesh units; they are not changed.
 /// - `params`: see [`TgvParams`]; lengths len and areas a count in mean edge lengths, so the weights have no unit.
-/// - `watch`: hears of every iteration, `normal_iterations` + `vertex_iterations` in all.
+/// - `watch`: hears of the two systems, each when its pattern is analysed and when it is factorised, unless
+///   `normal_iterations` is 0, then of every iteration: 4 + `normal_iterations` + `vertex_iterations` in all.
 ///
 /// Returns (V) new positions, in mesh units. A boundary edge has no term; an edge of more than two faces has one for each
 /// face and the next. Faces that run against a neighbour count as turned over. A face without area takes what its
@@ -77,8 +78,8 @@ impl TgvParams {
 ///
 /// # Errors
 /// [`crate::GeomError::InvalidParameter`], [`crate::GeomError::LengthMismatch`],
-/// [`crate::GeomError::NonFiniteVertex`], [`crate::GeomError::Diverged`], also when a system cannot be solved, or
-/// [`crate::GeomError::Cancelled`].
+/// [`crate::GeomError::NonFiniteVertex`], [`crate::GeomError::Diverged`], also when a system cannot be solved,
+/// [`crate::GeomError::OutOfMemory`] if `watch` does not allow a factor, or [`crate::GeomError::Cancelled`].
 ///
 /// Source: Liu et al. 2022, with another S. `Choice:` S, w and the defaults, docs/choices.md#total-generalised-variation.
 ///
@@ -99,12 +100,13 @@ pub fn tgv(
     watch: &mut Watch<'_>,
 ) -> Result<Vec<DVec3>> {
     params.validate()?;
-    let total = params.normal_iterations.saturating_add(params.vertex_iterations);
+    let of_systems = if params.normal_iterations > 0 { 4 } else { 0 };
+    let total = params.normal_iterations.saturating_add(params.vertex_iterations).saturating_add(of_systems);
     let (mut run, positions) = Run::start(topology, vertices, total, watch)?;
     let geometry = FaceGeometry::compute(&positions, topology.faces());
     let normals = if params.normal_iterations > 0 {
         let operators = Operators::new(topology, &positions, &geometry);
-        let mut solver = Solver::new(&operators, params, &geometry.normals).ok_or_else(|| run.diverged())?;
+        let mut solver = Solver::new(&operators, params, &geometry.normals, &mut run)?;
         for _ in 0..params.normal_iterations {
             if !solver.step() {
                 return Err(run.diverged());

@@ -3,7 +3,9 @@
 use super::TgvParams;
 use super::operator::Operators;
 use crate::cholesky::{Cholesky, entry_key};
+use crate::error::Result;
 use crate::normals::kernel::{CHUNK, unit_or_zero};
+use crate::watch::Run;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -38,12 +40,18 @@ pub(super) struct Solver<'a> {
 }
 
 impl<'a> Solver<'a> {
-    /// Factorises both systems; `None` if rounding has made one singular, or nearly.
-    pub fn new(operators: &'a Operators, params: &'a TgvParams, given: &'a [DVec3]) -> Option<Self> {
+    /// Factorises both systems, in two steps of the run each; diverged if rounding has made one singular, or nearly, and
+    /// out of memory if a factor is larger than the run may take.
+    pub fn new(
+        operators: &'a Operators,
+        params: &'a TgvParams,
+        given: &'a [DVec3],
+        run: &mut Run<'_, '_>,
+    ) -> Result<Self> {
         let [r_p, r_q] = [PENALTY * params.alpha1, PENALTY * params.alpha0];
         let edges = &operators.edges;
         let diagonal = operators.areas.iter().map(|a| params.beta * a.max(LEAST_AREA)).collect();
-        let normal_system = factorized(diagonal, |entries| {
+        let normal_system = factorized(run, diagonal, |entries| {
             for edge in edges {
                 let [first, second] = edge.faces;
                 let weight = r_p * edge.length;
@@ -52,7 +60,8 @@ impl<'a> Solver<'a> {
                 entries.push((entry_key(first, second), -edge.turn * weight));
             }
         })?;
-        let slope_system = factorized(edges.iter().map(|edge| r_p * edge.length).collect(), |entries| {
+        let diagonal = edges.iter().map(|edge| r_p * edge.length).collect();
+        let slope_system = factorized(run, diagonal, |entries| {
             for (e, edge) in edges.iter().enumerate() {
                 for (i, weight) in operators.slope_jumps.row(e) {
                     for (j, other) in operators.slope_jumps.row(e).filter(|(j, _)| *j <= i) {
@@ -62,7 +71,7 @@ impl<'a> Solver<'a> {
                 }
             }
         })?;
-        Some(Self {
+        Ok(Self {
             operators,
             params,
             given,
@@ -187,8 +196,12 @@ fn kept(size: f64, by: f64) -> f64 {
 /// two are left for what the diagonal stands for.
 const LARGEST_RATIO: f64 = 1e14;
 
-/// The factor of a diagonal plus the entries that `push` adds up; `None` if they drown it, or it is not positive.
-fn factorized(diagonal: Vec<f64>, push: impl FnOnce(&mut Vec<(u64, f64)>)) -> Option<Cholesky> {
+/// The factor of a diagonal plus the entries that `push` adds up; diverged if they drown it, or it is not positive.
+fn factorized(
+    run: &mut Run<'_, '_>,
+    diagonal: Vec<f64>,
+    push: impl FnOnce(&mut Vec<(u64, f64)>),
+) -> Result<Cholesky> {
     let n = diagonal.len();
     let limit = LARGEST_RATIO * diagonal.iter().sum::<f64>() / n.max(1) as f64;
     let mut entries: Vec<(u64, f64)> =
@@ -206,10 +219,15 @@ fn factorized(diagonal: Vec<f64>, push: impl FnOnce(&mut Vec<(u64, f64)>)) -> Op
     let (keys, values): (Vec<u64>, Vec<f64>) = entries.into_iter().unzip();
     // NaN is not below the limit either.
     if !values.iter().all(|value| value.abs() < limit.max(f64::MIN_POSITIVE)) {
-        return None;
+        return Err(run.diverged());
     }
-    let mut system = Cholesky::new(n, &keys);
-    system.factorize(&values).then_some(system)
+    let mut system = Cholesky::new(n, &keys, |bytes| run.claim(bytes))?;
+    run.tick()?;
+    if !system.factorize(&values) {
+        return Err(run.diverged());
+    }
+    run.tick()?;
+    Ok(system)
 }
 
 /// Solves a system for the three coordinates, which end one after the other in `right`.

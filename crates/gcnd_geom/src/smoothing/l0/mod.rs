@@ -87,7 +87,7 @@ impl L0Params {
 ///
 /// - `topology`, `vertices` (V), p* in mesh units; they are not changed.
 /// - `params`: see [`L0Params`].
-/// - `watch`: hears of every iteration, 40 by default.
+/// - `watch`: hears of the analysis of the system's pattern, then of every iteration, 41 by default.
 ///
 /// Returns (V) new positions, in mesh units. Edges on a boundary have no operator; an edge of more than two faces has
 /// one for each face and the next; faces without area, and edges beside faces so thin that a weight in D exceeds 1000,
@@ -98,7 +98,8 @@ impl L0Params {
 /// # Errors
 /// [`crate::GeomError::InvalidParameter`], [`crate::GeomError::LengthMismatch`],
 /// [`crate::GeomError::NonFiniteVertex`], [`crate::GeomError::Diverged`], also when α or β have grown so large that
-/// rounding leaves next to nothing of p* in the system, or [`crate::GeomError::Cancelled`].
+/// rounding leaves next to nothing of p* in the system, [`crate::GeomError::OutOfMemory`] if `watch` does not allow the
+/// factor, or [`crate::GeomError::Cancelled`].
 ///
 /// Source: He, Schaefer 2013, Eqs. 5, 8 and 9. The λ and α are those of the program of Zhang et al. 2015, with γ̄ averaged
 /// without sign: it averages signed angles, which cancel, and hardly denoises.
@@ -121,7 +122,7 @@ pub fn l0(
 ) -> Result<Vec<DVec3>> {
     params.validate()?;
     let betas = params.betas();
-    let (mut run, mut positions) = Run::start(topology, vertices, betas.len(), watch)?;
+    let (mut run, mut positions) = Run::start(topology, vertices, betas.len().saturating_add(1), watch)?;
     let stencils = find_edge_pairs(topology);
     if stencils.is_empty() || betas.is_empty() {
         return Ok(vertices.to_vec());
@@ -132,7 +133,8 @@ pub fn l0(
     let lambda = scaled.unwrap_or(0.2 * edge_length * edge_length * gamma);
     let mut alpha = params.alpha.unwrap_or(0.1 * gamma);
     let noisy = positions.clone();
-    let mut system = System::new(&stencils, positions.len());
+    let mut system = System::new(&stencils, positions.len(), |bytes| run.claim(bytes))?;
+    run.tick()?;
     let mut edges = Vec::new();
     for beta in betas {
         measure_edges(&stencils, &positions, lambda / beta, &mut edges);

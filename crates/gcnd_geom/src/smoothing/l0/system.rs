@@ -3,6 +3,7 @@
 use super::operator::EdgeState;
 use crate::cholesky::{Cholesky, entry_key};
 use crate::edge_pairs::EdgePair;
+use crate::error::Result;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -28,9 +29,14 @@ pub(super) struct System {
 impl System {
     /// Analyses the pattern that the stencils give over vertices `0..n`.
     ///
+    /// `claim` hears how many bytes the factor and its making will take, before they are taken.
+    ///
+    /// # Errors
+    /// What `claim` returns.
+    ///
     /// # Panics
-    /// If memory runs out, or the pattern has more than 2³² entries.
-    pub fn new(stencils: &[EdgePair], n: usize) -> Self {
+    /// If memory runs out before the factor is known, or the pattern has more than 2³² entries.
+    pub fn new(stencils: &[EdgePair], n: usize, claim: impl FnOnce(u64) -> Result<()>) -> Result<Self> {
         let key_of = |s: &EdgePair, [i, j]: [usize; 2]| entry_key(s.vertices[i], s.vertices[j]);
         let mut keys: Vec<u64> = stencils.iter().flat_map(|s| PAIRS.map(|pair| key_of(s, pair))).collect();
         keys.extend((0..n as u32).map(|v| entry_key(v, v)));
@@ -42,8 +48,8 @@ impl System {
         };
         let slots = stencils.par_iter().map(|s| PAIRS.map(|pair| slot(key_of(s, pair)))).collect();
         let diagonal = (0..n as u32).map(|v| slot(entry_key(v, v))).collect();
-        let (cholesky, values) = (Cholesky::new(n, &keys), vec![0.0; keys.len()]);
-        Self { cholesky, slots, diagonal, values, right: vec![0.0; 3 * n] }
+        let (cholesky, values) = (Cholesky::new(n, &keys, claim)?, vec![0.0; keys.len()]);
+        Ok(Self { cholesky, slots, diagonal, values, right: vec![0.0; 3 * n] })
     }
 
     /// Solves for `positions`; false, with `positions` unchanged, if rounding has made the system singular, or so nearly
@@ -148,7 +154,7 @@ mod tests {
         let mut edges = Vec::new();
         measure_edges(&stencils, &vertices, 1e-3, &mut edges);
         assert!(edges.iter().any(|e| e.delta != DVec3::ZERO) && edges.iter().any(|e| e.delta == DVec3::ZERO));
-        let mut system = System::new(&stencils, vertices.len());
+        let mut system = System::new(&stencils, vertices.len(), |_| Ok(())).expect("allowed");
         for (alpha, beta) in [(0.1, 1e-3), (0.0, 10.0), (0.01, 500.0)] {
             let mut positions = vertices.clone();
             assert!(system.solve(&stencils, &edges, alpha, beta, &vertices, &mut positions));
