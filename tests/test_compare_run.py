@@ -129,6 +129,24 @@ def test_a_child_ends_with_its_parent_alone_and_removes_its_folder(tmp_path: Pat
     assert not folder.exists()
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Windows ends processes without a signal")
+def test_a_signal_while_the_process_is_made_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[subprocess.Popen[bytes]] = []
+
+    class Interrupted(subprocess.Popen):  # type: ignore[type-arg]
+        def __init__(self, *args: Any, **options: Any) -> None:
+            super().__init__(*args, **options)
+            made.append(self)
+            signal.raise_signal(signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr("gcnd.compare.child.subprocess.Popen", Interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        outcome(method(given.endless))
+    assert [process.returncode for process in made] == [-signal.SIGKILL]
+    assert signal.getsignal(signal.SIGINT) is before
+
+
 def test_a_signal_while_files_are_removed_leaves_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -94,24 +95,45 @@ def _job_folder() -> Iterator[Path]:
             raise
 
 
+@contextmanager
+def _signals_put_off() -> Iterator[None]:
+    """Has signals wait while the block makes a process, which nobody would end if one came before it has a name."""
+    before, came = {}, []
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            if number is not None and callable(signal.getsignal(number)):
+                before[number] = signal.signal(number, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in came:
+            signal.raise_signal(number)
+
+
 def _wait(folder: Path, threads: int, timeout: float) -> str | None:
     """Runs the worker to its end; returns why it left no report, or None."""
     environment = os.environ | dict.fromkeys(_THREAD_VARIABLES, str(threads))
-    with (folder / "log.txt").open("wb") as log:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "gcnd.compare.worker", str(folder)],
-            stdin=subprocess.PIPE,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            env=environment,
-            # Signals are the parent's to handle: it ends the child and keeps the rows.
-            start_new_session=True,
-        )
-        try:
-            process.wait(timeout)
-        except subprocess.TimeoutExpired:
-            return f"took longer than {timeout:g} s"
-        finally:
+    command = [sys.executable, "-m", "gcnd.compare.worker", str(folder)]
+    process = None
+    try:
+        with (folder / "log.txt").open("wb") as log, _signals_put_off():
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                # Signals are the parent's to handle: it ends the child and keeps the rows.
+                start_new_session=True,
+            )
+        process.wait(timeout)
+    except subprocess.TimeoutExpired:
+        return f"took longer than {timeout:g} s"
+    finally:
+        if process is not None:
             _end(process)
     if (folder / "report.json").exists():
         return None
