@@ -198,7 +198,7 @@ def _paper_scan(*steps: int) -> Recipe:
 
 RECIPES = {
     "default": _default(38_000, 84_500),
-    "fast": _fast(13_500, 40_000),
+    "fast": _fast(13_500, 38_000),
     "paper": _paper(450_000, 300_000),
     "scan": _scan(8_000, 8_000),
     "paper-scan": _paper_scan(450_000, 300_000),
