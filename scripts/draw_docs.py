@@ -41,8 +41,8 @@ def detailed() -> Shape:
 
 def passes() -> None:
     """The mesh before the first pass and after each, coloured by error."""
-    shape, vertices = part()
-    truth, faces = shape.vertices, shape.faces
+    shape, noisy = part()
+    truth, faces, vertices = shape.vertices, shape.faces, noisy
     cascade = load_cascade("default")
     topology = _geom.Topology(faces, len(vertices))
     roughness = _geom.mesh_roughness(topology, vertices) if cascade.sees_roughness else None
@@ -50,13 +50,14 @@ def passes() -> None:
     panels = [Panel(f"noisy: {errors.mean():.1f}°", vertices, faces, errors)]
     steps = cascade.passes()
     for index, (stage, network) in enumerate(steps):
-        found = predict_normals(topology, vertices, stage, network, seed=index, roughness=roughness)
+        told = {"roughness": roughness, "first": noisy}
+        found = predict_normals(topology, vertices, stage, network, seed=index, **told)
         is_last = index == len(steps) - 1
         normals = refined(topology, vertices, found, cascade.config.refinement) if is_last else found.normals
         vertices = _geom.update_vertices(topology, vertices, normals, cascade.config.vertex_iterations)
         errors = normal_angles(vertices, truth, faces)
         panels.append(Panel(f"after pass {index + 1}: {errors.mean():.1f}°", vertices, faces, errors))
-    save_panels(OUT / "passes.png", [[*panels[:3], panels[-1]]], max_value=20.0)
+    save_panels(OUT / "passes.png", [panels], max_value=20.0)
 
 
 def patches() -> None:

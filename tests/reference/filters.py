@@ -114,7 +114,9 @@ def keep_detail(vertices: Floats, faces: Ints, moved: Floats) -> Floats:
     for i, (product, square) in enumerate(of_vertices):
         even = min(1.0, 2 * noise / sizes[i]) ** 2 if sizes[i] > 0 else 1.0
         t = min(1.0, max(0.0, ((product / square if square > 0 else 0.0) - 0.04) / 0.08))
-        kept[i] = vertices[i] + max(even, 1 - t * t * (3 - 2 * t)) * (moved[i] - vertices[i])
+        u = min(1.0, max(0.0, (np.sqrt(noise) - 0.06) / 0.06))
+        taken_back = t * t * (3 - 2 * t) * (1 - u * u * (3 - 2 * u))
+        kept[i] = vertices[i] + max(even, 1 - taken_back) * (moved[i] - vertices[i])
     return kept
 
 

@@ -20,6 +20,9 @@ const SLACK: f64 = 2.0;
 /// Correlation of the steps of neighbours: noise has less than the first, detail more than the second.
 const LIKENESS: (f64, f64) = (0.04, 0.12);
 
+/// Noise in mean edge lengths: below the first all detail comes back, above the second none does.
+const WEAK: (f64, f64) = (0.06, 0.12);
+
 /// Vertices or faces of one unit of parallel work.
 const CHUNK: usize = 4096;
 
@@ -28,11 +31,11 @@ const CHUNK: usize = 4096;
 /// With d_i the step of vertex i, r_i the root mean square of d around it, s the r that a twentieth of the vertices lie
 /// below, and ρ_i = ⟨d_a · d_b⟩ / ⟨d_a²⟩ over the edges ab around it:
 ///
-/// v_i ← before_i + w_i (after_i − before_i),  w_i = max(min(1, 2 s² / r_i²)², 1 − S(ρ_i))
+/// v_i ← before_i + w_i (after_i − before_i),  w_i = max(min(1, 2 s² / r_i²)², 1 − S(ρ_i) (1 − T(s)))
 ///
 /// Noise is everywhere, so what exceeds s may be detail. Noise is also independent from vertex to vertex, detail is not:
-/// S rises smoothly from 0 at ρ = 0.04 to 1 at 0.12, so uneven noise goes whole. Where noise is strong, nearly all of the
-/// steps are noise, and nothing comes back.
+/// S rises smoothly from 0 at ρ = 0.04 to 1 at 0.12, so uneven noise goes whole. T rises from 0 at s = 0.06 mean edges to
+/// 1 at 0.12: with stronger noise nothing comes back, since as much noise would come with it.
 ///
 /// - `topology`, `before` (V), `after` (V) in mesh units.
 ///
@@ -81,12 +84,17 @@ pub fn keep_detail(topology: &Topology, before: &[DVec3], after: &[DVec3]) -> Re
     Ok(after.par_iter().zip(before).enumerate().with_min_len(CHUNK).map(kept).collect())
 }
 
-/// w of a vertex, of r², s², and ⟨d_a · d_b⟩ with ⟨d_a²⟩.
+/// w of a vertex, of r², s², and ⟨d_a · d_b⟩ with ⟨d_a²⟩, in mean edge lengths.
 fn share(size: f64, noise: f64, alike: DVec2) -> f64 {
     let even = if size > SLACK * noise { (SLACK * noise / size).powi(2) } else { 1.0 };
     let likeness = if alike.y > 0.0 { alike.x / alike.y } else { 0.0 };
-    let t = ((likeness - LIKENESS.0) / (LIKENESS.1 - LIKENESS.0)).clamp(0.0, 1.0);
-    even.max(1.0 - t * t * (3.0 - 2.0 * t))
+    even.max(1.0 - smooth_step(likeness, LIKENESS) * (1.0 - smooth_step(noise.sqrt(), WEAK)))
+}
+
+/// Rises from 0 at the first of `ends` to 1 at the second, level at both.
+fn smooth_step(x: f64, ends: (f64, f64)) -> f64 {
+    let t = ((x - ends.0) / (ends.1 - ends.0)).clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
 }
 
 /// Means over the surroundings of a vertex, wider with every round: of d_a · d_b over edges, and of d_a².
@@ -160,10 +168,12 @@ mod tests {
     fn shares_by_hand() {
         let (white, alike) = (DVec2::new(0.0, 1.0), DVec2::new(0.5, 1.0));
         assert_eq!(share(0.0, 0.0, DVec2::ZERO), 1.0, "nothing moved");
-        assert_eq!(share(2.0, 1.0, alike), 1.0, "within the slack");
-        assert_eq!(share(4.0, 1.0, alike), 0.25);
+        assert_eq!(share(2e-4, 1e-4, alike), 1.0, "within the slack");
+        assert_eq!(share(4e-4, 1e-4, alike), 0.25);
         assert_eq!(share(1e-6, 0.0, alike), 0.0, "without noise everything is detail");
-        assert_eq!(share(4.0, 1.0, white), 1.0, "uneven noise");
+        assert_eq!(share(4e-4, 1e-4, white), 1.0, "uneven noise");
+        assert_eq!(share(1.0, 0.12 * 0.12, alike), 1.0, "strong noise");
+        assert!((share(1.0, 0.09 * 0.09, alike) - 0.5).abs() < 1e-12, "half way to strong");
         assert_eq!(share(4.0, 0.0, DVec2::new(-0.5, 1.0)), 1.0);
         assert!((share(4.0, 0.0, DVec2::new(0.08, 1.0)) - 0.5).abs() < 1e-12, "half way");
     }
