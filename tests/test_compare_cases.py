@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -114,7 +115,8 @@ def test_builtin_takes_shapes_that_were_never_trained_on(
     mesh = ball()
     calls = []
 
-    def load_shapes(n: int, seed: int, folder: Path) -> list[Shape]:
+    def load_shapes(n: int, seed: int, folder: Path, *, kinds: Mapping[str, float]) -> list[Shape]:
+        assert set(kinds) == {"cad", "smooth", "feature"}
         calls.append((n, seed, folder))
         return [Shape("cad-1", "cad", mesh.truth, mesh.faces)] * n
 
