@@ -69,7 +69,7 @@ def tested(stages: list[tuple[StageConfig, nn.Module]], folder: Path) -> dict[st
     for shape in test_shapes(folder):
         for level in LEVELS:
             noisy: NDArray[np.float64] = add_noise(shape.vertices, shape.faces, level=level, seed=NOISE_SEED)
-            mesh = NoisyMesh(shape, noisy, TOLD[0])
+            mesh = NoisyMesh(shape, noisy, TOLD[0], noisy)
             for number, stage in enumerate(stages):
                 mesh = mesh._replace(roughness=TOLD[number])
                 mesh = run_stages(mesh, [stage], number, precision=fast_precision("cpu"))
