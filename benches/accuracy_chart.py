@@ -1,6 +1,6 @@
 """Draws E_a by kind of mesh and E_a against time, from what `gcnd compare` wrote.
 
-    gcnd compare builtin --levels 0.1,0.3 --methods default,fast,paper,classical --pictures none --out runs/builtin
+    gcnd compare builtin --levels 0.2 --seed 7 --methods default,fast,paper,classical --pictures none --out runs/builtin
     python benches/accuracy_chart.py runs/builtin docs/images/accuracy.png --times runs/times
 
 A filter that was run at several settings is drawn at the best of them per mesh and level, chosen with the truth in

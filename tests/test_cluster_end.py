@@ -74,6 +74,16 @@ def test_a_cancelled_run_ends_it(calls: list[str]) -> None:
     assert told == ["done"]
 
 
+def test_on_a_cluster_that_was_there_nothing_goes_on_after_an_error(calls: list[str]) -> None:
+    def progress(fraction: float, stage: str) -> None:
+        raise ZeroDivisionError
+
+    calls.append("init")
+    with pytest.raises(ZeroDivisionError):
+        denoise_many([PAIR, PAIR, PAIR], denoiser=Filter("taubin"), ray=True, progress=progress)
+    assert calls == ["init", "cancel", "cancel"]
+
+
 @pytest.mark.parametrize("moment", ["init", "wait", "shutdown"])
 def test_ctrl_c_ends_it_at_any_moment(calls: list[str], monkeypatch: pytest.MonkeyPatch, moment: str) -> None:
     import ray
@@ -88,5 +98,6 @@ def test_ctrl_c_ends_it_at_any_moment(calls: list[str], monkeypatch: pytest.Monk
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         denoise_many([PAIR], denoiser=Filter("taubin"), ray=True)
-    assert calls == ["init", "shutdown"]
+    # What has not been heard of yet is taken back.
+    assert calls == (["init", "cancel", "shutdown"] if moment == "wait" else ["init", "shutdown"])
     assert signal.getsignal(signal.SIGINT) is before

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
@@ -83,9 +83,10 @@ def _ctrl_c_waits() -> Iterator[None]:
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, previous)
-    if noticed.is_set():
-        signal.raise_signal(signal.SIGINT)
+        # None stands for a handler that was not set from Python, and cannot be set again.
+        signal.signal(signal.SIGINT, signal.default_int_handler if previous is None else previous)
+        if noticed.is_set():
+            signal.raise_signal(signal.SIGINT)
 
 
 def _spread(
@@ -100,25 +101,41 @@ def _spread(
     work: Any = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(_work)
     shared = ray.put(denoiser)
     index_of = {work.remote(job, shared, wanted): i for i, job in enumerate(jobs)}
-    waiting, whole, past = list(index_of), sum(job.weight for job in jobs), 0.0
     outcomes: dict[int, Outcome] = {}
+    try:
+        for index, outcome in _as_they_end(ray, index_of, jobs):
+            if outcome is not None:
+                outcomes[index] = outcome
+                tell(outcome)
+            past = sum(jobs[done].weight for done in outcomes) / sum(job.weight for job in jobs)
+            told = f"{len(outcomes)} of {len(jobs)} done"
+            if progress is not None and stops(progress(past, told)):
+                raise Cancelled("cancelled")
+    except BaseException:
+        # On a cluster that goes on, they would go on too.
+        for task, index in index_of.items():
+            if index not in outcomes:
+                ray.cancel(task)
+        raise
+    return [outcomes[index] for index in range(len(jobs))]
+
+
+def _as_they_end(
+    ray: Any, index_of: Mapping[Any, int], jobs: Sequence[Job]
+) -> Iterator[tuple[int, Outcome | None]]:
+    """Yields the outcome of each task as it ends, with its job's index; (-1, None) ten times a second meanwhile."""
+    waiting = list(index_of)
     while waiting:
         ready, waiting = ray.wait(waiting, timeout=0.1)
+        if not ready:
+            yield -1, None
         for task in ready:
             index = index_of[task]
-            past += jobs[index].weight
             try:
-                outcomes[index] = ray.get(task)
+                yield index, ray.get(task)
             except ray.exceptions.RayError as error:
                 failure = GcndError(f"its worker was lost: {type(error).__name__}")
-                outcomes[index] = Outcome(jobs[index].name, "failed", error=failure)
-            tell(outcomes[index])
-        told = f"{len(outcomes)} of {len(jobs)} done"
-        if progress is not None and stops(progress(past / whole, told)):
-            for task in waiting:
-                ray.cancel(task)
-            raise Cancelled("cancelled")
-    return [outcomes[index] for index in range(len(jobs))]
+                yield index, Outcome(jobs[index].name, "failed", error=failure)
 
 
 def _work(job: Job, denoiser: Method, wanted: Wanted) -> Outcome:

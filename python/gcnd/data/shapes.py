@@ -60,7 +60,7 @@ def make_shape(seed: int, kind: ShapeKind | None = None) -> Shape:
 
     Args:
         seed: Any integer >= 0; the same seed and kind give the same shape.
-        kind: One of `SHAPE_KINDS`, or None to draw half ``cad`` and a quarter each of the others.
+        kind: One of `SHAPE_KINDS`, or None to draw half ``cad`` and a quarter each ``smooth`` and ``feature``.
 
     Returns:
         The shape, unit bounding-box diagonal.
