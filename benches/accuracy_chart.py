@@ -75,11 +75,15 @@ def draw_kinds(axis: Axes, rows: Rows, methods: list[str]) -> None:
 
 def draw_times(axis: Axes, rows: Rows, timed: Rows, methods: list[str], threads: int) -> None:
     """Mean E_a against seconds, a point a method."""
-    for turn, method in enumerate(sorted(methods, key=lambda method: seconds(timed, method))):
+    places = {method: (seconds(timed, method), mean_error(rows, method)) for method in methods}
+    for method, place in places.items():
         name, colour = METHODS[method]
-        place = (seconds(timed, method), mean_error(rows, method))
-        # Above and below by turns, so that neighbours' names do not meet.
-        offset = (0, 8 if turn % 2 else -14)
+        # Below where another point lies close above, so that neighbours' names do not meet.
+        crowded = any(
+            place[1] < error < place[1] + 1.0 and place[0] / 6 < time < place[0] * 6
+            for time, error in places.values()
+        )
+        offset = (0, -14 if crowded else 8)
         axis.scatter(*place, s=60, color=colour, edgecolor="#444444", linewidth=0.6, zorder=3)
         axis.annotate(name, place, xytext=offset, textcoords="offset points", fontsize=7, ha="center")
     axis.set_xscale("log")
