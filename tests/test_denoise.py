@@ -25,27 +25,14 @@ from denoise_cases import (
     SQUARE,
     VERTICES,
     Arrays,
-    denoised_sphere,
     noisy_sphere,
     random_cascade,
-    write_random_weights,
 )
 from gcnd import _geom, denoise, predict
 from gcnd.denoise import denoise_arrays
 from gcnd.errors import ConfigError, MeshError
 from gcnd.mesh_io import save
 from gcnd.nn.cascade import CascadeConfig, RefinementConfig
-
-
-@pytest.fixture(scope="module")
-def preset(tmp_path_factory: pytest.TempPathFactory) -> str:
-    return write_random_weights(tmp_path_factory.mktemp("weights"))
-
-
-@pytest.fixture(scope="module")
-def result(preset: str) -> NDArray[np.float64]:
-    return denoised_sphere(preset)
-
 
 # --- kinds of mesh -----------------------------------------------------------------------------------
 

@@ -17,25 +17,12 @@ from denoise_cases import (
     FACES,
     SQUARE,
     VERTICES,
-    denoised_sphere,
     random_cascade,
-    write_random_weights,
 )
 from gcnd import denoise
 from gcnd.denoise import denoise_arrays
 from gcnd.errors import MeshError
 from gcnd.nn.cascade import Cascade
-
-
-@pytest.fixture(scope="module")
-def preset(tmp_path_factory: pytest.TempPathFactory) -> str:
-    return write_random_weights(tmp_path_factory.mktemp("weights"))
-
-
-@pytest.fixture(scope="module")
-def result(preset: str) -> NDArray[np.float64]:
-    return denoised_sphere(preset)
-
 
 # --- invariances -------------------------------------------------------------------------------------
 

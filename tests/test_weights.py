@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,25 +16,17 @@ from safetensors.torch import save_file
 from torch import nn
 from typer.testing import CliRunner
 
+import denoise_cases
 from gcnd.auto import CANDIDATES
 from gcnd.cli import app
 from gcnd.denoise import denoise
 from gcnd.errors import ConfigError, GcndError, WeightsError
-from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, RefinementConfig, StageConfig
+from gcnd.nn.cascade import Cascade, CascadeConfig, RefinementConfig
 from gcnd.nn.networks import NetworkConfig
 from gcnd.weights import list_models, load_cascade, registry, save_cascade
 from gcnd.weights.files import load_header, load_tensors, save_tensors
 
-NETWORK = NetworkConfig("nodes", 17, (8,), (8, 12), 16, (12, 8), 4, "node")
-PAPER_LIKE = NetworkConfig("centre", 8, (8,), (12,), 16, (12, 8), 4, "edge")
-CONFIG = CascadeConfig(
-    (
-        StageConfig(NETWORK, PatchConfig(n_nodes=32), passes=2, coverage=1.5),
-        StageConfig(PAPER_LIKE, PatchConfig(n_nodes=16, vertex_offsets=False, budget="random")),
-    ),
-    RefinementConfig(4, 0.15, 1.5),
-    vertex_iterations=7,
-)
+CONFIG = replace(denoise_cases.CONFIG, refinement=RefinementConfig(4, 0.15, 1.5), vertex_iterations=7)
 
 
 def make_cascade(seed: int = 0) -> Cascade:

@@ -102,14 +102,15 @@ def _spread(
     shared = ray.put(denoiser)
     index_of = {work.remote(job, shared, wanted): i for i, job in enumerate(jobs)}
     outcomes: dict[int, Outcome] = {}
+    whole, past = sum(job.weight for job in jobs), 0.0
     try:
         for index, outcome in _as_they_end(ray, index_of, jobs):
             if outcome is not None:
                 outcomes[index] = outcome
+                past += jobs[index].weight
                 tell(outcome)
-            past = sum(jobs[done].weight for done in outcomes) / sum(job.weight for job in jobs)
             told = f"{len(outcomes)} of {len(jobs)} done"
-            if progress is not None and stops(progress(past, told)):
+            if progress is not None and stops(progress(past / whole, told)):
                 raise Cancelled("cancelled")
     except BaseException:
         # On a cluster that goes on, they would go on too.
