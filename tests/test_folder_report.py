@@ -119,8 +119,8 @@ def test_ctrl_c_leaves_the_report(folder: Path) -> None:
     assert process.returncode == 130
     assert "Traceback" not in told
     stopped, blank, hint = told.splitlines()[-3:]
-    n_done = sum(row["status"] == "done" for row in json.loads(report.read_text()))
-    assert stopped == f"stopped: {n_done} of 24 results are there"
+    n_there = sum(path.is_file() for path in out.rglob("*"))
+    assert stopped == f"stopped: {n_there} of 24 results are there"
     assert (blank, hint) == ("", "hint: run the same command again; results that are there are skipped")
     statuses = {row["name"]: row["status"] for row in json.loads(report.read_text())}
     assert len(statuses) == 24
@@ -154,6 +154,14 @@ def test_a_stopped_run_says_how_to_go_on(
     assert main(command) == 0
     counts = "4 done, 0 skipped" if options else "2 done, 2 skipped"
     assert counts in capsys.readouterr().err
+    # A result of before that the next run does not come to is there too, but is not made again.
+    (folder.parent / "out" / "a.ply").unlink()
+    (folder.parent / "out" / "d.stl").unlink()
+    with monkeypatch.context() as patch:
+        stop_at("d.stl", patch)
+        assert main(command) == 130
+    n_there = 2 if options else 3
+    assert f"stopped: {n_there} of 4 results are there" in capsys.readouterr().err
 
 
 # --- what it never replaces --------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from gcnd.cli.progress import show_progress
 from gcnd.errors import GcndError, MeshError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from gcnd.cli.denoise import Request
     from gcnd.many import Outcome
@@ -79,7 +79,9 @@ def run_folder(
         if request.report is not None:
             _write_report(request.report, known, results, output_folder)
         if not quiet:
-            _tell_how_to_go_on(known.values(), len(files), overwrite)
+            made = [outcome.status == "done" for outcome in known.values()]
+            there = made if overwrite else [result.is_file() for result in results.values()]
+            _tell_how_to_go_on(sum(there), len(files), overwrite)
         raise
     if request.report is not None:
         _write_report(request.report, known, results, output_folder)
@@ -103,8 +105,7 @@ def _print_summary(outcomes: Sequence[Outcome], quiet: bool) -> None:
     print(", ".join(f"{count} {status}" for status, count in counts.items()), file=sys.stderr)
 
 
-def _tell_how_to_go_on(known: Iterable[Outcome], n_files: int, overwrite: bool) -> None:
-    n_there = sum(outcome.status != "failed" for outcome in known)
+def _tell_how_to_go_on(n_there: int, n_files: int, overwrite: bool) -> None:
     print(f"stopped: {n_there} of {n_files} results are there", file=sys.stderr)
     then = "with --overwrite it begins with the first" if overwrite else "results that are there are skipped"
     print(f"\nhint: run the same command again; {then}", file=sys.stderr)

@@ -83,21 +83,28 @@ def run_in_child(
 @contextmanager
 def _job_folder() -> Iterator[Path]:
     """A folder for as long as the block runs, which a signal does not leave behind, whenever it comes."""
-    folder = Path(tempfile.mkdtemp(prefix="gcnd-compare-"))
+    folder = None
     try:
+        with _signals_put_off():
+            folder = Path(tempfile.mkdtemp(prefix="gcnd-compare-"))
         yield folder
     finally:
-        try:
-            shutil.rmtree(folder)
-        except BaseException:
-            # Ctrl-C while the files are removed, as a rule; what is raised is what there is to tell.
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
+        if folder is not None:
+            _remove(folder)
+
+
+def _remove(folder: Path) -> None:
+    try:
+        shutil.rmtree(folder)
+    except BaseException:
+        # Ctrl-C while the files are removed, as a rule; what is raised is what there is to tell.
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 @contextmanager
 def _signals_put_off() -> Iterator[None]:
-    """Has signals wait while the block makes a process, which nobody would end if one came before it has a name."""
+    """Has signals wait while the block makes a folder or process: before it has a name nobody would tidy it up."""
     before, came = {}, []
     if threading.current_thread() is threading.main_thread():
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
