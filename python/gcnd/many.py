@@ -134,20 +134,31 @@ def denoise_many(
         from gcnd.denoiser import Denoiser
 
         denoiser = Denoiser()
-    is_left = [overwrite or not _is_done(job) for job in jobs]
+    is_left = [overwrite or not is_done(job.mesh, job.output) for job in jobs]
     if ray:
-        from gcnd.cluster import run_on_ray
-
-        skipped = [
-            None if left else Outcome(job.name, "skipped", output=job.output)
-            for job, left in zip(jobs, is_left, strict=True)
-        ]
-        for outcome in filter(None, skipped):
-            tell(outcome)
-        left = [job for job, left in zip(jobs, is_left, strict=True) if left]
-        done = iter(run_on_ray(left, denoiser, wanted, progress, tell))
-        return [outcome or next(done) for outcome in skipped]
+        return _on_ray(jobs, is_left, denoiser, wanted, progress, tell)
     return _one_by_one(jobs, is_left, denoiser, wanted, progress, tell)
+
+
+def _on_ray(
+    jobs: Sequence[Job],
+    is_left: Sequence[bool],
+    denoiser: Method,
+    wanted: Wanted,
+    progress: Progress | None,
+    tell: Tell,
+) -> list[Outcome]:
+    from gcnd.cluster import run_on_ray
+
+    skipped = [
+        None if left else Outcome(job.name, "skipped", output=job.output)
+        for job, left in zip(jobs, is_left, strict=True)
+    ]
+    for outcome in filter(None, skipped):
+        tell(outcome)
+    left = [job for job, left in zip(jobs, is_left, strict=True) if left]
+    done = iter(run_on_ray(left, denoiser, wanted, progress, tell))
+    return [outcome or next(done) for outcome in skipped]
 
 
 def _one_by_one(
@@ -253,10 +264,11 @@ def _file_job(name: str, path: Path, output: Path | None) -> Job:
     return Job(name, path, None if output is None else output / name, float(max(size, 1)))
 
 
-def _is_done(job: Job) -> bool:
-    if job.output is None or not job.output.is_file() or not os.path.isfile(job.mesh):
+def is_done(mesh: Any, output: Path | None) -> bool:
+    """Says whether a result is there and not older than the file it was made from."""
+    if output is None or not output.is_file() or not os.path.isfile(mesh):
         return False
-    return job.output.stat().st_mtime_ns >= os.stat(job.mesh).st_mtime_ns
+    return output.stat().st_mtime_ns >= os.stat(mesh).st_mtime_ns
 
 
 def run_job(job: Job, denoiser: Method, wanted: Wanted, progress: Progress) -> Outcome:

@@ -48,14 +48,9 @@ def run_folder(
         as_json: Whether to print the table as JSON on stdout.
     """
     with nothing_to_lose():
-        from gcnd.many import denoise_many, mesh_files
+        from gcnd.many import denoise_many, is_done
 
-        if output_folder.exists() and not output_folder.is_dir():
-            raise MeshError(
-                f"{output_folder} is a file, and {input_folder} a folder", "name a folder for the results"
-            )
-        files = mesh_files(input_folder, output_folder)
-        results = {path: output_folder / path.relative_to(input_folder) for path in files}
+        results = _results(input_folder, output_folder)
         if request.report is not None:
             output_folder.mkdir(parents=True, exist_ok=True)
             _check_report_path(request.report, results)
@@ -80,8 +75,8 @@ def run_folder(
             _write_report(request.report, known, results, output_folder)
         if not quiet:
             made = [outcome.status == "done" for outcome in known.values()]
-            there = made if overwrite else [result.is_file() for result in results.values()]
-            _tell_how_to_go_on(sum(there), len(files), overwrite)
+            there = made if overwrite else [is_done(*paths) for paths in results.items()]
+            _tell_how_to_go_on(sum(there), len(results), overwrite)
         raise
     if request.report is not None:
         _write_report(request.report, known, results, output_folder)
@@ -91,6 +86,18 @@ def run_folder(
         _print_summary(outcomes, quiet)
     if any(outcome.status == "failed" for outcome in outcomes):
         raise typer.Exit(1)
+
+
+def _results(input_folder: Path, output_folder: Path) -> dict[Path, Path]:
+    """Where the result of each mesh of the folder goes."""
+    from gcnd.many import mesh_files
+
+    if output_folder.exists() and not output_folder.is_dir():
+        raise MeshError(
+            f"{output_folder} is a file, and {input_folder} a folder", "name a folder for the results"
+        )
+    files = mesh_files(input_folder, output_folder)
+    return {path: output_folder / path.relative_to(input_folder) for path in files}
 
 
 def _print_summary(outcomes: Sequence[Outcome], quiet: bool) -> None:
