@@ -60,6 +60,16 @@ def test_train_takes_the_data_of_its_recipe(
     assert capsys.readouterr().err.strip() == f"error: {wanted} {places}"
 
 
+def test_train_does_not_replace_the_weights_that_it_starts_from(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    weights = tmp_path / "fast.safetensors"
+    weights.write_bytes(b"weights")
+    assert main(["train", "--preset", "fast", "--out", str(tmp_path), "--start-from", str(weights)]) == 1
+    assert "fast.safetensors is the input itself" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["fast.safetensors"]
+
+
 def test_evaluate_prints_both_errors(
     mesh_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -166,6 +166,20 @@ def test_bad_input_is_told_without_a_traceback(tmp_path: Path, capsys: pytest.Ca
         assert not out.exists()
 
 
+@pytest.mark.skipif(os.name == "nt", reason="links need a right there")
+@pytest.mark.parametrize("name", ["rows.jsonl", "results.csv", "results.json", "report.html"])
+def test_nothing_that_is_written_replaces_a_mesh(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    data, out = write_meshes(tmp_path / "data", "a.ply"), tmp_path / "out"
+    before = (data / "a.ply").read_bytes()
+    out.mkdir()
+    (out / name).symlink_to(data / "a.ply")
+    assert main(["compare", str(data), "--out", str(out), "--methods", "taubin", *QUICK]) == 1
+    assert f"{name} is the input itself" in capsys.readouterr().err
+    assert (data / "a.ply").read_bytes() == before
+
+
 def test_missing_libraries_are_skipped_with_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,12 +1,9 @@
-"""The page of `gcnd view`: its figures, what it carries, what it refuses, and the command."""
+"""The page of `gcnd view`: its figures, what it carries and what it refuses."""
 
 from __future__ import annotations
 
-import base64
 import json
 import re
-from dataclasses import asdict
-from html.parser import HTMLParser
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -14,62 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 
 import gcnd
-from gcnd.cli import main
-from gcnd.errors import ConfigError, MeshError
+from gcnd.errors import ConfigError, GcndError, MeshError
 from gcnd.mesh_io import save
 from gcnd.viewer import view as view_module
 from gcnd.viewer.changes import compare_meshes
 from gcnd.viewer.page import Names, view_page
-
-# Two right triangles in the plane z = 0 that share their long edge; mean edge (4 + √2) / 5.
-SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-FACES = np.array([[0, 1, 2], [0, 2, 3]])
-EDGE = (4 + np.sqrt(2)) / 5
-# Corner 1 lifted: it turns face 0 alone.
-LIFTED = SQUARE + np.outer([0, 1, 0, 0], [0, 0, 1])
-
-
-class Page(HTMLParser):
-    """What a browser would fetch or run, and the text of elements with an id."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.links: list[str] = []
-        self.texts: dict[str, str] = {}
-        self.kinds: dict[str, str | None] = {}
-        self.policy = ""
-        self._open: list[str | None] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
-        own = dict(attributes)
-        self.links += [
-            value or "" for name, value in attributes if name in ("src", "href", "srcset", "action")
-        ]
-        if own.get("http-equiv") == "Content-Security-Policy":
-            self.policy = own["content"] or ""
-        if own.get("id"):
-            self.kinds[str(own["id"])] = own.get("type")
-        if tag == "script":
-            self._open = [own.get("id")]
-
-    def handle_data(self, data: str) -> None:
-        if self._open and self._open[0]:
-            self.texts[self._open[0]] = self.texts.get(self._open[0], "") + data
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag == "script":
-            self._open = []
-
-    def array(self, name: str, kind: str) -> NDArray[Any]:
-        return np.frombuffer(base64.b64decode(self.texts[name]), kind)
-
-
-def page_of(path: Path) -> Page:
-    return Page(path.read_text(encoding="utf-8"))
+from view_cases import EDGE, FACES, LIFTED, SQUARE, Page, page_of
 
 
 @pytest.fixture
@@ -334,62 +283,5 @@ def test_only_pages_are_written(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"noisy\.ply is not the name of a page"):
         gcnd.view((LIFTED, FACES), against=mesh, out=mesh)
     assert mesh.read_bytes() == before
-    with pytest.raises(ConfigError, match="does not exist"):
+    with pytest.raises(GcndError, match="does not exist"):
         gcnd.view((LIFTED, FACES), against=mesh, out=tmp_path / "no" / "view.html")
-
-
-# --- the command -------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def paths(tmp_path: Path) -> dict[str, Path]:
-    found = {name: tmp_path / f"{name}.ply" for name in ("clean", "noisy", "truth")}
-    for path, vertices in zip(found.values(), (LIFTED, SQUARE + np.array([0, 0, 0.1]), SQUARE), strict=True):
-        save((vertices, FACES), path)
-    return found
-
-
-def test_the_command_writes_the_page(
-    paths: dict[str, Path], out: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = [
-        "view",
-        str(paths["clean"]),
-        "--against",
-        str(paths["noisy"]),
-        "--truth",
-        str(paths["truth"]),
-    ]
-    assert main([*arguments, "--out", str(out)]) == 0
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert re.fullmatch(rf"wrote {re.escape(str(out))}: 2 faces, 0\.5 MB\n", printed.err)
-    text = out.read_text(encoding="utf-8")
-    assert "<title>clean.ply against noisy.ply</title>" in text
-    assert 'id="tag-before">before: noisy.ply</p>' in text
-    assert "<caption>Against truth.ply</caption>" in text
-
-    assert main([*arguments, "--out", str(out), "--json"]) == 0
-    by_hand = gcnd.view(paths["clean"], against=paths["noisy"], truth=paths["truth"], out=out)
-    assert json.loads(capsys.readouterr().out) == asdict(by_hand)
-
-
-def test_the_command_has_a_page_of_its_own_name(
-    paths: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["view", "clean.ply", "--against", "noisy.ply"]) == 0
-    assert json.loads(page_of(tmp_path / "view.html").texts["manifest"])["before"] == "noisy.ply"
-
-
-def test_the_command_tells_errors(
-    paths: dict[str, Path], out: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    other = tmp_path / "other.ply"
-    save((SQUARE, FACES[:1]), other)
-    assert main(["view", str(paths["clean"]), "--against", str(other), "--out", str(out)]) == 1
-    error, blank, hint = capsys.readouterr().err.splitlines()
-    assert (error, blank) == ("error: clean.ply has 2 faces and other.ply has 1", "")
-    assert hint.startswith("hint: ")
-    assert main(["view", str(paths["clean"]), "--out", str(out)]) == 2
-    assert not out.exists()

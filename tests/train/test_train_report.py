@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import re
 from pathlib import Path
 
@@ -77,3 +78,14 @@ def test_the_command_writes_where_it_is_told(run: Path, capsys: pytest.CaptureFi
     (run / "log.jsonl").write_text("", encoding="utf-8")
     assert main(["train-report", str(run)]) == 1
     assert "holds no line yet" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["log.jsonl", "link.html", "stage1.pool/0.npz"])
+def test_a_page_replaces_nothing_of_the_run(run: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    (run / "stage1.pool").mkdir()
+    (run / "stage1.pool" / "0.npz").write_bytes(b"a mesh")
+    os.link(run / "log.jsonl", run / "link.html")
+    before = (run / name).read_bytes()
+    assert main(["train-report", str(run), "--out", str(run / name)]) == 1
+    assert "another file of this run" in capsys.readouterr().err
+    assert (run / name).read_bytes() == before

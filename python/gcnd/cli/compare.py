@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from gcnd.compare.summary import Line
 
 __all__ = ["Pictures", "SplitName", "run"]
+
+_WRITTEN = ("rows.jsonl", "results.csv", "results.json", "report.html")
 
 
 class Pictures(str, Enum):
@@ -84,6 +87,7 @@ def run(
     conditions = Conditions(processors, timeout, samples, retry_failed)
     check_report_libraries()
     check_output_folder(out)
+    _check_no_mesh_is_replaced(out, Path(dataset))
     usable, skipped = available(wanted)
     if not usable:
         raise ConfigError("no method is left to compare", hint="; ".join(skipped))
@@ -119,6 +123,17 @@ def run(
         raise GcndError("no method gave a result", hint="the reasons are above and in the report")
     if not quiet:
         print(f"wrote {out / 'report.html'}, results.csv and results.json", file=sys.stderr)
+
+
+def _check_no_mesh_is_replaced(out: Path, dataset: Path) -> None:
+    """Checks that what a comparison writes under one name leads to no mesh, as a link would."""
+    from gcnd.many import mesh_files
+    from gcnd.mesh_io import check_output_path
+
+    there = [path for path in (out / name for name in _WRITTEN) if os.path.lexists(path)]
+    meshes = mesh_files(dataset) if there and dataset.is_dir() else []
+    for path in there:
+        check_output_path(path, *meshes, is_mesh=False)
 
 
 def _words(text: str) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -157,6 +158,6 @@ def _photograph(
 def _check_truth(input_mesh: Path, output_mesh: Path, truth: Path) -> None:
     from gcnd.mesh_io import check_output_path
 
-    check_output_path(truth, input_mesh)
-    if truth.resolve() == output_mesh.resolve():
+    if os.path.realpath(truth) == os.path.realpath(output_mesh):
         raise ConfigError(f"--truth and OUT are both {truth}", hint="name two files")
+    check_output_path(truth, input_mesh, output_mesh)

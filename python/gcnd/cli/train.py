@@ -59,6 +59,7 @@ def run(
     import torch
 
     from gcnd.errors import ConfigError
+    from gcnd.mesh_io import check_output_path
     from gcnd.nn.distributed import process_group
     from gcnd.train.corpus import generated_corpus, paired_corpus, scanned_corpus
     from gcnd.train.recipes import get_recipe
@@ -73,6 +74,9 @@ def run(
         raise ConfigError("--pairs trains on the pairs alone", hint="leave out --meshes and --shapes")
     recipe = adapted(get_recipe(preset), scale=scale, precision=precision, device=device.value)
     folder = out or Path("runs") / recipe.name
+    weights = folder / f"{recipe.name}.safetensors"
+    if start_from is not None and folder.is_dir():
+        check_output_path(weights, start_from, is_mesh=False)
 
     def corpus() -> Corpus:
         if pairs:

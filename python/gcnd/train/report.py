@@ -12,9 +12,12 @@ import numpy as np
 
 from gcnd import _geom
 from gcnd.errors import ConfigError, GcndError
-from gcnd.formats.atomic import write_atomic
+from gcnd.formats.atomic import write_or_tell
+from gcnd.mesh_io import check_output_path
 from gcnd.page import data_uri, html_page, inline_svg
 from gcnd.picture import Panel, save_panels
+
+_PAGES = (".html", ".htm")
 
 
 def write_report(run: Path, out: Path) -> None:
@@ -26,12 +29,14 @@ def write_report(run: Path, out: Path) -> None:
 
     Raises:
         ConfigError: The folder holds no log.
-        GcndError: matplotlib is not installed.
+        GcndError: matplotlib is not installed; or the page cannot be written, or would replace another file of the run.
 
     Example:
         >>> write_report(Path("runs/default"), Path("report.html"))  # doctest: +SKIP
     """
     lines = read_log(run)
+    others = (path for path in run.rglob("*") if path.suffix.lower() not in _PAGES and path.is_file())
+    check_output_path(out, *others, is_mesh=False)
     parts = [
         f"<h1>Training run {html.escape(run.resolve().name)}</h1>",
         _table(lines),
@@ -42,7 +47,7 @@ def write_report(run: Path, out: Path) -> None:
     if examples:
         parts += ["<h2>Before and after</h2>", *(_example(path) for path in examples)]
     page = html_page(run.resolve().name, "".join(parts))
-    write_atomic(out, page.encode())
+    write_or_tell(out, page.encode())
 
 
 def read_log(run: Path) -> list[dict[str, Any]]:

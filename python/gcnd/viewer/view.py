@@ -10,7 +10,7 @@ import numpy as np
 
 from gcnd.errors import ConfigError, MeshError
 from gcnd.formats.atomic import write_or_tell
-from gcnd.mesh_io import read_shape
+from gcnd.mesh_io import check_output_path, read_shape
 from gcnd.same_faces import split_alike
 from gcnd.viewer.changes import Figures, compare_meshes
 from gcnd.viewer.page import Names, view_page
@@ -57,9 +57,9 @@ def view(
     Raises:
         MeshError: The meshes do not share their faces and their number of vertices, have more than `MAX_FACES` faces,
             or cannot be read; see `gcnd.mesh_io.read_shape`.
-        ConfigError: `out` is not called .html, or its folder does not exist; or the confidence is not one number from
-            0 to 1 for each face.
-        GcndError: The page cannot be written. What stood at `out` then still does.
+        ConfigError: `out` is not called .html; or the confidence is not one number from 0 to 1 for each face.
+        GcndError: The page cannot be written, or would replace one of the meshes, also through a link. What stood at
+            `out` then still does.
 
     Example:
         >>> figures = view("clean.ply", against="noisy.ply", out="view.html")  # doctest: +SKIP
@@ -67,7 +67,7 @@ def view(
         0.82
     """
     path = Path(out)
-    _check_page_path(path)
+    _check_page_path(path, *(mesh for mesh in (after, against, truth) if isinstance(mesh, str | os.PathLike)))
     names = Names(
         _name(against, "before"), _name(after, "after"), None if truth is None else _name(truth, "truth")
     )
@@ -108,12 +108,10 @@ def _pair(mesh: Shape, before: Shape, names: tuple[str, str]) -> MeshArrays:
     return alike
 
 
-def _check_page_path(path: Path) -> None:
+def _check_page_path(path: Path, *meshes: MeshPath) -> None:
     if path.suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"{path} is not the name of a page", hint="end it in .html")
-    folder = Path(os.path.realpath(path)).parent
-    if not folder.is_dir():
-        raise ConfigError(f"cannot write {path}: the folder {folder} does not exist", f"mkdir -p {folder}")
+    check_output_path(path, *meshes, is_mesh=False)
 
 
 def _name(mesh: Any, otherwise: str) -> str:
