@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from gcnd.cli import main
 from gcnd.errors import MeshError
 from gcnd.mesh_io import load, save
 
@@ -54,6 +55,16 @@ def test_instances_come_in_the_order_of_the_file(tmp_path: Path) -> None:
     nodes = [{"mesh": 0, "translation": [x, 0, 0]} for x in (10, 20, 30)]
     path = written(tmp_path, "a.glb", edited_glb(data, nodes=nodes, scenes=[{"nodes": [0, 1, 2]}]))
     assert load(path).vertices[::4, 0].tolist() == [10, 20, 30]
+
+
+def test_names_that_no_file_can_have_stay(tmp_path: Path) -> None:
+    data = glb_of(trimesh.Scene(trimesh.Trimesh(SQUARE, TWO_FACES, process=False)))
+    images = [{"uri": "\ud800.png", "name": "\ud800"}, {"uri": "Größe.png"}]
+    source, out = written(tmp_path, "a.glb", edited_glb(data, images=images)), tmp_path / "b.glb"
+    report = tmp_path / "report.json"
+    assert main(["denoise", str(source), str(out), "--method", "taubin", "--report", str(report), "-q"]) == 0
+    data = out.read_bytes()
+    assert json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])["images"] == images
 
 
 def test_scene_is_joined_only_without_loss(tmp_path: Path) -> None:

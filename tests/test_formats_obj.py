@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+from gcnd.cli import main
 from gcnd.errors import MeshError
 from gcnd.mesh_io import load, save, to_arrays
 
@@ -122,6 +124,14 @@ def test_missing_material_costs_only_the_look(tmp_path: Path) -> None:
     text = "mtllib gone.mtl\n" + VERTICES + "vt 0 0\nvt 1 0\nvt 1 1\nusemtl wood\nf 1/1 2/2 3/3\n"
     mesh = load(obj(tmp_path, text))
     assert mesh.visual.uv[:3].tolist() == [[0, 0], [1, 0], [1, 1]]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need a right there")
+def test_a_library_that_is_a_link_to_itself_costs_only_the_look(tmp_path: Path) -> None:
+    (tmp_path / "loop.mtl").symlink_to("loop.mtl")
+    source, out = obj(tmp_path, "mtllib loop.mtl\n" + VERTICES + "usemtl wood\nf 1 2 3\n"), tmp_path / "b.obj"
+    assert main(["noise", str(source), str(out), "--level", "0"]) == 0
+    assert np.array_equal(load(out).vertices, SQUARE)
 
 
 def test_several_materials_are_kept_by_reference(tmp_path: Path) -> None:

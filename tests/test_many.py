@@ -91,6 +91,13 @@ def test_results_inside_the_input_are_no_input(folder: Path) -> None:
     assert len(mesh_files(folder, folder / "clean")) == 4
 
 
+@pytest.mark.skipif(os.name == "nt", reason="links need a right there")
+def test_links_that_lead_to_themselves_are_no_meshes(folder: Path, tmp_path: Path) -> None:
+    (folder / "loop").symlink_to("loop")
+    (folder / "loop.ply").symlink_to("loop.ply")
+    assert statuses(denoise_many(folder, tmp_path / "out", denoiser=TAUBIN)) == ALL
+
+
 def test_results_may_go_above_the_input(folder: Path) -> None:
     before = contents(folder)
     assert statuses(denoise_many(folder, folder.parent, denoiser=TAUBIN)) == ALL

@@ -193,15 +193,21 @@ def _one_by_one(
 def mesh_files(folder: Path, without: Path | None = None) -> list[Path]:
     """Lists the mesh files below a folder, sorted; hidden ones, and those below ``without``, are left out."""
     found = []
-    results = None if without is None else without.resolve()
-    if results is not None and folder.resolve().is_relative_to(results):
+    results = None if without is None else _real(without)
+    if results is not None and _real(folder).is_relative_to(results):
         results = None  # the results go above: that leaves nothing out
     for path in sorted(folder.rglob("*")):
         is_hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        is_result = results is not None and path.resolve().is_relative_to(results)
-        if path.suffix.lower() in SUPPORTED and path.is_file() and not is_hidden and not is_result:
+        if is_hidden or path.suffix.lower() not in SUPPORTED or not path.is_file():
+            continue
+        if results is None or not _real(path).is_relative_to(results):
             found.append(path)
     return found
+
+
+def _real(path: Path) -> Path:
+    # Path.resolve fails at links that lead to themselves.
+    return Path(os.path.realpath(path))
 
 
 def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[Job]:
@@ -211,7 +217,7 @@ def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[Job]:
             raise ConfigError("a folder of meshes needs a folder for the results", "pass output")
         if not folder.is_dir():
             raise ConfigError(f"no such folder: {folder}", "for one mesh, use denoise")
-        if folder.resolve() == output.resolve():
+        if _real(folder) == _real(output):
             raise ConfigError(
                 f"{output} is the input itself", "choose another folder; the input is never changed"
             )

@@ -9,7 +9,7 @@ from typing import Any
 
 from gcnd.errors import MeshError
 
-__all__ = ["find_beside", "libraries_of_line", "resolver_beside"]
+__all__ = ["can_be_name", "find_beside", "libraries_of_line", "resolver_beside"]
 
 _LARGEST_FILE = 1 << 30
 """Bytes of a material or texture."""
@@ -34,12 +34,20 @@ def find_beside(folder: Path, name: str) -> Path | None:
     return path
 
 
+def can_be_name(name: str) -> bool:
+    """Whether a file may have such a name: there is no NUL in it, and no lone surrogate, which JSON can hold."""
+    try:
+        return b"\0" not in os.fsencode(name)
+    except UnicodeEncodeError:
+        return False
+
+
 def _path_beside(folder: Path, name: str) -> Path | None:
-    if "\0" in name:
+    if not can_be_name(name):
         return None
-    home = folder.resolve()
-    path = (home / PurePosixPath(name.strip().replace("\\", "/"))).resolve()
-    # Of a name that is too long, os.path tells that it is not there, where Path.is_file fails.
+    # Of a name that is too long, or a link that leads to itself, os.path tells that it is not there, where Path fails.
+    home = Path(os.path.realpath(folder))
+    path = Path(os.path.realpath(home / PurePosixPath(name.strip().replace("\\", "/"))))
     return path if path.is_relative_to(home) and os.path.isfile(path) else None
 
 

@@ -139,7 +139,8 @@ class _Glb:
                 buffer["uri"] = start + _DATA_URI + base64.b64encode(content).decode("ascii")
             else:
                 binary = bytes(content)
-        text = json.dumps(self.header, separators=(",", ":"), ensure_ascii=False).encode("utf-8")
+        # Escaped, since a name may hold a lone surrogate, which UTF-8 has no bytes for.
+        text = json.dumps(self.header, separators=(",", ":")).encode("ascii")
         text += b" " * (-len(text) % 4)
         chunks = self.chunks[:8] + binary + self.rest
         length = 20 + len(text) + len(chunks)

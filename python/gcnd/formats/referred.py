@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
 from gcnd.errors import MeshError
-from gcnd.formats.beside import find_beside, libraries_of_line
+from gcnd.formats.beside import can_be_name, find_beside, libraries_of_line
 from gcnd.formats.parsed import DAMAGED_HINT
 from gcnd.formats.ply_header import parse_header
 
@@ -96,7 +96,7 @@ def _found(data: bytes, source: Path) -> dict[str, Path | None]:
     waiting = _referred(data, source.suffix.lower(), folder)
     while waiting:
         name = waiting.pop()
-        if name in found or "\0" in name:
+        if name in found or not can_be_name(name):
             continue
         found[name] = library = find_beside(folder, name)
         if library is not None and library.suffix.lower() == ".mtl":
