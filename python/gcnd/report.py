@@ -162,7 +162,8 @@ def write_report(path: Path, report: Any) -> None:
         GcndError: The file cannot be written.
     """
     text = json.dumps(report, indent=2, ensure_ascii=False) + "\n"
-    write_or_tell(path, text.encode())
+    # A byte of a file's name that is no UTF-8 becomes the escape that JSON has for it.
+    write_or_tell(path, text.encode(errors="backslashreplace"))
 
 
 def _volumes(before: MeshArrays, after: Points) -> dict[str, float | None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -82,6 +83,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def program() -> NoReturn:
     """Runs the command line as a process of its own, which Ctrl-C ends at once."""
     own_process()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # As of stderr: a name that the terminal has no letters for is no reason to fail.
+        sys.stdout.reconfigure(errors="backslashreplace")
     code = main()
     if code > EXIT_SIGNAL:
         exit_now(code)

@@ -28,8 +28,11 @@ JsonFlag: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON.")
 
 
 def print_json(value: Any) -> None:
-    """Prints a value as indented JSON on stdout; JSON has no NaN or infinity, which become null."""
-    print(json.dumps(_without_nan(value), indent=2, ensure_ascii=False, allow_nan=False))
+    """Prints a value as indented JSON on stdout; JSON has no NaN or infinity, which become null.
+
+    In ASCII, since the terminal or the reader of a pipe may have any encoding, and names of files any bytes.
+    """
+    print(json.dumps(_without_nan(value), indent=2, allow_nan=False))
 
 
 def _without_nan(value: Any) -> Any:

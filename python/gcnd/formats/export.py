@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from itertools import chain, count
 from pathlib import Path
@@ -24,6 +25,8 @@ __all__ = ["encode", "needs_float64", "texture_colors"]
 
 FLOAT32_TOLERANCE = 1e-3
 """How far 32 bits may move a vertex, in mean edge lengths, before 64 are written."""
+
+_NO_TEXT = re.compile("[\ud800-\udfff]")
 
 
 def needs_float64(vertices: NDArray[np.float64], faces: NDArray[Any]) -> bool:
@@ -160,14 +163,20 @@ def _encode_obj(mesh: trimesh.Trimesh, parsed: ParsedMesh, path: Path) -> dict[P
         parsed.material_libraries = [_relative(Path(library), path.parent) for library in libraries]
     material = getattr(mesh.visual, "material", None)
     if not names and material is not None:
+        own = _with_text_name(path)
         simple = material.to_simple() if hasattr(material, "to_simple") else material
         texture = _image_path(mesh)
-        library = _material_library(simple, path, texture, files)
+        library = _material_library(simple, own, texture, files)
         if library is not None:
-            place = _add_beside(files, path.with_suffix(".mtl"), library)
-            parsed.material_libraries, names = [place.name], [path.stem.replace(" ", "_")]
+            place = _add_beside(files, own.with_suffix(".mtl"), library)
+            parsed.material_libraries, names = [place.name], [own.stem.replace(" ", "_")]
     files[path] = write_obj(parsed, names)
     return files
+
+
+def _with_text_name(path: Path) -> Path:
+    """The path with "_" for every byte of its name that is no UTF-8, so that the name can stand in a file."""
+    return path.with_name(_NO_TEXT.sub("_", path.name))
 
 
 def _material_library(

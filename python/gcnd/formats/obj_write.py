@@ -46,4 +46,4 @@ def write_obj(mesh: ParsedMesh, material_names: Sequence[str] = ()) -> bytes:
         if 0 <= material_id < len(material_names):
             lines.append(f"usemtl {material_names[material_id]}")
         lines += [corner.format(*faces[face_id]) for face_id in run]
-    return ("\n".join(lines) + "\n").encode("utf-8")
+    return ("\n".join(lines) + "\n").encode("utf-8", errors="replace")

@@ -219,7 +219,7 @@ def write_ply(mesh: ParsedMesh, *, float64: bool, comments: Sequence[str] = ()) 
     vertex_lines, vertex_rows = _pack("vertex", vertex, len(mesh.vertices))
     face_lines, face_rows = _pack("face", face, len(mesh.faces))
     header += [*vertex_lines, *face_lines, "end_header", ""]
-    return "\n".join(header).encode("utf-8") + vertex_rows + face_rows
+    return "\n".join(header).encode("utf-8", errors="replace") + vertex_rows + face_rows
 
 
 def _color_columns(colors: NDArray[np.uint8] | None) -> list[tuple[str, NDArray[Any]]]:

@@ -86,7 +86,8 @@ def view(
     known = None if confidence is None else _checked_confidence(confidence, len(after_mesh.faces))
     layers, figures = compare_meshes(before_mesh, after_mesh, truth_mesh, known)
     page = view_page(before_mesh, after_mesh, layers, figures, names)
-    write_or_tell(path, page.encode())
+    # Names of files may have bytes that are no UTF-8.
+    write_or_tell(path, page.encode(errors="backslashreplace"))
     return figures
 
 
