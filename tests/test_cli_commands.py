@@ -47,7 +47,7 @@ def test_train_takes_the_data_of_its_recipe(
     from gcnd.train import corpus
 
     def stop(name: str) -> Any:
-        def called(*arguments: Any) -> None:
+        def called(*arguments: Any, on_event: Any) -> None:
             raise GcndError(f"{name} {[str(a) for a in arguments[1:4]]}")
 
         return called
@@ -68,6 +68,18 @@ def test_train_does_not_replace_the_weights_that_it_starts_from(
     assert main(["train", "--preset", "fast", "--out", str(tmp_path), "--start-from", str(weights)]) == 1
     assert "fast.safetensors is the input itself" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["fast.safetensors"]
+
+
+def test_train_leaves_nothing_where_its_data_is_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    for option, told in (("--pairs", "is not a folder of pairs"), ("--meshes", "is not a folder of meshes")):
+        assert main(["train", "--out", str(out), option, str(tmp_path / "nowhere")]) == 1
+        assert told in capsys.readouterr().err
+    assert main(["train", "--out", str(out), "--scale", "inf"]) == 1
+    assert "scale is inf, allowed: above 0" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_evaluate_prints_both_errors(

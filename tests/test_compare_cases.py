@@ -115,7 +115,9 @@ def test_builtin_takes_shapes_that_were_never_trained_on(
     mesh = ball()
     calls = []
 
-    def load_shapes(n: int, seed: int, folder: Path, *, kinds: Mapping[str, float]) -> list[Shape]:
+    def load_shapes(
+        n: int, seed: int, folder: Path, *, kinds: Mapping[str, float], **_: object
+    ) -> list[Shape]:
         assert set(kinds) == {"cad", "smooth", "feature"}
         calls.append((n, seed, folder))
         return [Shape("cad-1", "cad", mesh.truth, mesh.faces)] * n

@@ -50,6 +50,16 @@ def test_truths_are_found_by_name(tmp_path: Path, box: tuple[np.ndarray, np.ndar
     }
 
 
+def test_two_truths_of_one_name_are_refused(tmp_path: Path, box: tuple[np.ndarray, np.ndarray]) -> None:
+    write(tmp_path / "train" / "noisy" / "boy_n1.obj", *box)
+    write(tmp_path / "train" / "original" / "boy.obj", *box)
+    (tmp_path / "train" / "original" / "._boy.obj").write_bytes(b"of another system")
+    assert [pair.clean.name for pair in list_pairs(tmp_path, "train")] == ["boy.obj"]
+    write(tmp_path / "train" / "original" / "boy.ply", *box)
+    with pytest.raises(ConfigError, match=r"boy\.obj and .*boy\.ply are truths of one name"):
+        list_pairs(tmp_path, "train")
+
+
 def test_what_is_missing_is_named(tmp_path: Path, box: tuple[np.ndarray, np.ndarray]) -> None:
     with pytest.raises(ConfigError, match=r"no such folder: .*original"):
         list_pairs(tmp_path, "train")

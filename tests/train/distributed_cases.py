@@ -12,7 +12,8 @@ from safetensors.torch import load_file, save_file
 from torch import distributed as dist
 from train_cases import TRAIN, clean, cube, sphere
 
-from gcnd.nn.distributed import process_group, process_rank
+from gcnd.errors import ConfigError
+from gcnd.nn.distributed import check_shared, process_group, process_rank
 from gcnd.nn.networks import NetworkConfig
 from gcnd.train.loop import TrainConfig, Trainer
 from gcnd.train.samples import Batch, FreshNoise
@@ -58,9 +59,22 @@ def resumed_after(folder: Path, step: int) -> bool:
     return all(torch.equal(tensor, whole[name]) for name, tensor in second.network.state_dict().items())
 
 
+def what_is_shared(folder: Path) -> str:
+    """What is said of a folder that both processes see, and of one that each has for itself."""
+    check_shared(folder / "shared")
+    try:
+        check_shared(folder / f"own {process_rank()}")
+    except ConfigError as error:
+        return "one folder: ok; own folders: " + str(error).split(": ")[1]
+    return "own folders: ok"
+
+
 def main(folder: Path, name: str) -> None:
     """Takes this process's half of the stored batch and stores what one step makes of it."""
     with process_group(torch.device("cpu")):
+        if name == "folders":
+            (folder / f"folders.{process_rank()}").write_text(what_is_shared(folder), encoding="utf-8")
+            return
         if name == "resume":
             (folder / f"resume.{process_rank()}").write_text(str(resumed_after(folder, 3)), encoding="utf-8")
             return

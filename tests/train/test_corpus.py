@@ -13,7 +13,7 @@ from train_cases import RECIPE, clean, cube, logged, sphere, use_small_shapes
 from gcnd import _geom
 from gcnd.data.noise import add_noise
 from gcnd.data.shapes_blend import blended
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, MeshError
 from gcnd.mesh_io import save
 from gcnd.train import corpus as corpus_module
 from gcnd.train.corpus import (
@@ -65,6 +65,42 @@ def test_meshes_of_a_folder_are_added_by_kind(tmp_path: Path) -> None:
         generated_corpus(RECIPE, tmp_path, tmp_path / "empty")
 
 
+def test_the_nearest_folder_of_a_kind_gives_it(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    places = {
+        "CAD/a": "cad",
+        "cad/parts/b": "cad",
+        "cad/smooth/c": "smooth",
+        "parts/d": "feature",
+        "e": "feature",
+    }
+    for number, place in enumerate(places):
+        path = (tmp_path / place).with_suffix(".ply")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Of each its own size, to be told by.
+        save((ball.vertices * (number + 1), ball.faces), path)
+    (tmp_path / "._hidden.ply").write_bytes(b"of another system")
+    shapes = generated_corpus(RECIPE, tmp_path / "shapes", tmp_path).shapes
+    kinds = {shape.name: shape.kind for shape in shapes if shape.name in "abcde"}
+    assert kinds == {place[-1]: kind for place, kind in places.items()}
+
+
+def test_a_folder_of_meshes_is_read_before_shapes_are_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object, **__: object) -> list[CleanShape]:
+        raise AssertionError("made")
+
+    monkeypatch.setattr("gcnd.train.corpus.load_generated", never)
+    (tmp_path / "broken.ply").write_bytes(b"ply\n")
+    for make in (
+        lambda: generated_corpus(RECIPE, tmp_path / "shapes", tmp_path),
+        lambda: scanned_corpus(get_recipe("scan"), tmp_path / "shapes", tmp_path, tmp_path / "scans"),
+    ):
+        with pytest.raises(MeshError, match=r"broken\.ply"):
+            make()
+
+
 @pytest.fixture(scope="module")
 def given(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[CleanShape]]:
     """What is made of a ball of each kind."""
@@ -74,8 +110,8 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[CleanShape
         path = folder / kind / f"{kind}.ply"
         path.parent.mkdir()
         save(trimesh.creation.icosphere(subdivisions=subdivisions), path)
-        made[kind] = given_shapes(path)
-        again = [shape.vertices for shape in given_shapes(path)]
+        made[kind] = given_shapes(path, kind)
+        again = [shape.vertices for shape in given_shapes(path, kind)]
         assert all(np.array_equal(s.vertices, v) for s, v in zip(made[kind], again, strict=True))
     return made
 

@@ -66,6 +66,14 @@ def test_two_processes_go_on_to_the_same_bits(tmp_path: Path) -> None:
     ]
 
 
+def test_processes_that_see_different_folders_are_told(tmp_path: Path) -> None:
+    done = torchrun(str(HERE / "distributed_cases.py"), str(tmp_path), "folders", cwd=HERE)
+    assert done.returncode == 0, done.stderr
+    told = [(tmp_path / f"folders.{rank}").read_text(encoding="utf-8") for rank in range(2)]
+    assert told == ["one folder: ok; own folders: 1 of 2 see another"] * 2
+    assert list((tmp_path / "shared").iterdir()) == []
+
+
 def test_two_processes_train_a_cascade(tmp_path: Path) -> None:
     write_dataset(tmp_path / "data")
     arguments = ["-m", "gcnd.train", "--pairs", str(tmp_path / "data"), "--scale", "1e-9"]

@@ -27,6 +27,24 @@ def test_a_pool_of_other_meshes_is_refused(tmp_path: Path) -> None:
         DenoisedPool(tmp_path, FreshNoise(other), other, [], 3, 0)
 
 
+@pytest.mark.parametrize("left", [0, 100, 700])
+def test_a_damaged_mesh_is_denoised_again(tmp_path: Path, left: int) -> None:
+    shapes = [clean(sphere())]
+    made = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 2, 0)
+    whole = (tmp_path / "0001.npz").read_bytes()
+    (tmp_path / "0001.npz").write_bytes(whole[:left])
+    said: list[tuple[int, int]] = []
+    again = DenoisedPool(
+        tmp_path, FreshNoise(shapes), shapes, [], 2, 0, progress=lambda *numbers: said.append(numbers)
+    )
+    assert said == [(1, 2), (2, 2)]
+    assert all(
+        np.array_equal(a.vertices, b.vertices) for a, b in zip(made.members, again.members, strict=True)
+    )
+    assert (tmp_path / "0001.npz").read_bytes()[:100] == whole[:100]
+    DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 2, 0)
+
+
 def test_a_pool_of_an_earlier_version_is_refused(tmp_path: Path) -> None:
     shapes = [clean(sphere())]
     DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 1, 0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,14 +15,14 @@ from train_cases import RECIPE, logged, sphere, use_small_shapes
 
 from gcnd.data.noise import add_noise
 from gcnd.denoise import denoise, denoise_arrays
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, WeightsError
 from gcnd.nn.cascade import Cascade
-from gcnd.train.corpus import generated_corpus
+from gcnd.train.corpus import PairSource, generated_corpus
 from gcnd.train.loop import StepReport
 from gcnd.train.recipes import RECIPES, Recipe, get_recipe
 from gcnd.train.run import TrainingRun, adapted, append_line
 from gcnd.weights import load_cascade
-from gcnd.weights.files import load_tensors
+from gcnd.weights.files import load_tensors, save_tensors
 
 
 class KilledError(Exception):
@@ -175,6 +177,74 @@ def test_a_finished_stage_of_other_settings_is_refused(straight: Path, tmp_path:
         run(tmp_path, longer)
 
 
+def test_a_run_does_not_go_on_with_other_meshes_weights_or_seeds(straight: Path, tmp_path: Path) -> None:
+    run(tmp_path)
+    before = (tmp_path / "tiny.safetensors").read_bytes()
+    for recipe, options, told in (
+        (replace(RECIPE, seed=RECIPE.seed + 1), {}, "other recipe$"),
+        (replace(RECIPE, pool_size=RECIPE.pool_size + 1), {}, "other recipe$"),
+        (RECIPE, {"start_from": str(straight / "tiny.safetensors")}, "other weights to start from$"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            run(tmp_path, recipe, **options)
+    corpus = generated_corpus(RECIPE, tmp_path, None)
+    fewer = replace(corpus, shapes=corpus.shapes[1:])
+    with pytest.raises(ConfigError, match=r"holds a run with other meshes$"):
+        TrainingRun(tmp_path, RECIPE, fewer)
+    pairs = replace(corpus, source=PairSource(corpus.validation))
+    with pytest.raises(ConfigError, match=r"holds a run with other meshes$"):
+        TrainingRun(tmp_path, RECIPE, pairs)
+    (tmp_path / "run.json").write_text("{")
+    with pytest.raises(ConfigError, match=r"run\.json is damaged"):
+        run(tmp_path)
+    (tmp_path / "run.json").unlink()
+    run(tmp_path)
+    assert (tmp_path / "tiny.safetensors").read_bytes() == before
+
+
+def test_damaged_weights_of_a_run_are_named(straight: Path, tmp_path: Path) -> None:
+    tensors, header = load_tensors(straight / "stage1.safetensors")
+    tensors.pop(next(iter(tensors)))
+    save_tensors(tmp_path / "stage1.safetensors", tensors, header)
+    with pytest.raises(WeightsError, match=r"stage1\.safetensors does not hold the weights of its network"):
+        run(tmp_path)
+    (tmp_path / "stage1.safetensors").unlink()
+    tensors, header = load_tensors(straight / "stage1.checkpoint.safetensors")
+    parts = [
+        ({k: v for k, v in tensors.items() if not k.startswith(part)}, header)
+        for part in ("network.out", "average.out", "optimizer.0")
+    ]
+    for kept, told in (*parts, (tensors, {k: v for k, v in header.items() if k != "step"})):
+        save_tensors(tmp_path / "stage1.checkpoint.safetensors", kept, told)
+        with pytest.raises(WeightsError, match=r"stage1\.checkpoint\.safetensors") as raised:
+            run(tmp_path)
+        assert raised.value.hint == "delete it; the run goes on from what is left"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions of another kind")
+def test_weights_have_the_permissions_of_any_file(straight: Path, tmp_path: Path) -> None:
+    (tmp_path / "any").touch()
+    expected = (tmp_path / "any").stat().st_mode
+    assert {path.stat().st_mode for path in straight.glob("*.safetensors")} == {expected}
+
+
+def test_a_step_tells_the_last_validation(tmp_path: Path) -> None:
+    corpus = generated_corpus(RECIPE, tmp_path, None)
+    told: list[tuple[int, int, float | None]] = []
+
+    def on_step(stage: int, report: StepReport) -> None:
+        told.append((stage, report.step, report.validation))
+
+    TrainingRun(tmp_path, RECIPE, corpus, validate_every=2, on_step=on_step).run()
+    logged_errors = [line["validation_e_a"] for line in logged(tmp_path)]
+    assert told[:5] == [
+        (0, 1, None),
+        (0, 2, None),
+        *((0, s, logged_errors[(s - 1) // 2 - 1]) for s in (3, 4, 5)),
+    ]
+    assert told[5][2] is None
+
+
 def test_a_line_cut_short_is_replaced(tmp_path: Path) -> None:
     path = tmp_path / "log"
     append_line(path, "one")
@@ -193,6 +263,9 @@ def test_adapted_scales_the_steps_and_sets_the_precision(monkeypatch: pytest.Mon
     assert [s.steps for s in scaled.stages] == [round(s.steps * 0.5) for s in recipe.stages]
     assert {s.precision for s in scaled.stages} == {"bfloat16"}
     assert [s.steps for s in adapted(recipe, scale=1e-9).stages] == [1] * len(recipe.stages)
+    for scale in (0.0, -1.0, float("inf"), float("nan"), 1e30):
+        with pytest.raises(ConfigError, match=f"scale is {re.escape(str(scale))}, allowed: above 0, up to"):
+            adapted(recipe, scale=scale)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda: False)
     assert {s.precision for s in adapted(recipe, device="cuda").stages} == {"float32"}

@@ -80,6 +80,18 @@ def test_the_command_writes_where_it_is_told(run: Path, capsys: pytest.CaptureFi
     assert "holds no line yet" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("left", [0, 500])
+def test_a_damaged_example_is_named(run: Path, capsys: pytest.CaptureFixture[str], left: int) -> None:
+    example = run / "example-1.npz"
+    np.savez(example, name="sphere", faces=np.zeros((100, 3)))
+    example.write_bytes(example.read_bytes()[:left])
+    assert main(["train-report", str(run)]) == 1
+    told = capsys.readouterr().err
+    assert "example-1.npz is damaged" in told
+    assert "gcnd train writes it again" in told
+    assert not (run / "report.html").exists()
+
+
 @pytest.mark.parametrize("name", ["log.jsonl", "link.html", "stage1.pool/0.npz"])
 def test_a_page_replaces_nothing_of_the_run(run: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
     (run / "stage1.pool").mkdir()

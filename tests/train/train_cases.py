@@ -80,7 +80,9 @@ RECIPE = replace(
 def use_small_shapes(patched: pytest.MonkeyPatch) -> None:
     """Two small shapes in place of the procedural ones, and a checkpoint after every step."""
 
-    def load_shapes(n: int, seed: int, directory: Path, *, kinds: Mapping[str, float]) -> list[Shape]:
+    def load_shapes(
+        n: int, seed: int, directory: Path, *, kinds: Mapping[str, float], **_: object
+    ) -> list[Shape]:
         if "edged" in kinds:
             return [replace(cube(2), name=f"edged {seed + i}", kind="edged") for i in range(n)]
         return [sphere(), cube(4)][: 1 if seed == corpus_module.VALIDATION_SEED else n]

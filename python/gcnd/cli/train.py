@@ -72,6 +72,8 @@ def run(
         raise ConfigError(f"{meshes} is not a folder of meshes")
     if pairs is not None and (meshes is not None or shapes is not None):
         raise ConfigError("--pairs trains on the pairs alone", hint="leave out --meshes and --shapes")
+    if pairs is not None and not pairs.is_dir():
+        raise ConfigError(f"{pairs} is not a folder of pairs")
     recipe = adapted(get_recipe(preset), scale=scale, precision=precision, device=device.value)
     folder = out or Path("runs") / recipe.name
     weights = folder / f"{recipe.name}.safetensors"
@@ -83,8 +85,8 @@ def run(
             return paired_corpus(pairs)
         shape_folder = shapes or folder / "shapes"
         if recipe.data == "scans":
-            return scanned_corpus(recipe, shape_folder, meshes, folder / "scans", _say)
-        return generated_corpus(recipe, shape_folder, meshes)
+            return scanned_corpus(recipe, shape_folder, meshes, folder / "scans", on_event=_say)
+        return generated_corpus(recipe, shape_folder, meshes, on_event=_say)
 
     with process_group(checked_device(device.value)) as own_device:
         _train(folder, recipe, corpus, start_from, str(own_device))
@@ -94,9 +96,10 @@ def _train(
     folder: Path, recipe: Recipe, make_corpus: Callable[[], Corpus], start_from: str | None, device: str
 ) -> None:
     from gcnd.formats.lock import only_writer
-    from gcnd.nn.distributed import first_process_first, process_rank
+    from gcnd.nn.distributed import check_shared, first_process_first, process_rank
     from gcnd.train.run import TrainingRun
 
+    check_shared(folder)
     with only_writer(folder) if process_rank() == 0 else nullcontext():
         with first_process_first():
             corpus = make_corpus()
@@ -109,7 +112,11 @@ def _train(
             on_step=_LineWriter(),
             on_event=_say,
         )
-        weights = training.run()
+        try:
+            weights = training.run()
+        except KeyboardInterrupt:
+            _say("stopped; the same command goes on from the last checkpoint, at most a minute ago")
+            raise
     if training.is_first:
         print(weights)
 
@@ -129,9 +136,10 @@ class _LineWriter:
         if now - self.last < _SECONDS_BETWEEN_LINES and report.step < report.steps:
             return
         self.last = now
+        error = "" if report.validation is None else f"validation E_a {report.validation:.3f}°  "
         print(
             f"stage {stage + 1}  step {report.step}/{report.steps}  {report.patches_per_second:.0f} patches/s  "
-            f"loss {report.loss:.4f}  {report.seconds_left / 60:.1f} min left",
+            f"loss {report.loss:.4f}  {error}{report.seconds_left / 60:.1f} min left",
             file=sys.stderr,
             flush=True,
         )

@@ -9,7 +9,7 @@ from gcnd.mesh_io import SUPPORTED
 
 
 def find_meshes(folder: Path) -> list[Path]:
-    """Find every mesh file below a folder.
+    """Find every mesh file below a folder; hidden ones are left out.
 
     Args:
         folder: Where to look, at any depth.
@@ -25,7 +25,9 @@ def find_meshes(folder: Path) -> list[Path]:
         'armadillo.ply'
     """
     paths = [
-        path for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUPPORTED and path.is_file()
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.suffix.lower() in SUPPORTED and not path.name.startswith(".") and path.is_file()
     ]
     if not paths:
         raise ConfigError(f"no mesh in {folder}", hint=f"supported: {', '.join(SUPPORTED)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,13 @@ if TYPE_CHECKING:
 
 
 def load_generated(
-    n: int, seed: int, folder: Path, *, hint: str, kinds: Mapping[ShapeKind, float] | None = None
+    n: int,
+    seed: int,
+    folder: Path,
+    *,
+    hint: str,
+    kinds: Mapping[ShapeKind, float] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> list[Shape]:
     """Load ``n`` generated shapes from ``seed`` on, made and kept in ``folder`` where missing.
 
@@ -23,6 +29,7 @@ def load_generated(
         folder: Keeps them.
         hint: What to do where they cannot be generated.
         kinds: Share of each kind, or None for those of `load_shapes`.
+        progress: Called with the shapes made and those to make after each.
 
     Raises:
         GcndError: What generates shapes is not installed.
@@ -36,4 +43,4 @@ def load_generated(
         from gcnd.data.shape_cache import DEFAULT_KINDS, load_shapes
     except ImportError as error:
         raise GcndError(f"procedural shapes need {error.name}", hint=hint) from error
-    return load_shapes(n, seed, folder, kinds=kinds or DEFAULT_KINDS)
+    return load_shapes(n, seed, folder, kinds=kinds or DEFAULT_KINDS, progress=progress)

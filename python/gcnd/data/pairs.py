@@ -48,7 +48,7 @@ def list_pairs(folder: Path | str, split: Split) -> list[PairFiles]:
         The pairs, ordered by the names of the noisy files.
 
     Raises:
-        ConfigError: A folder is missing or holds no mesh, or a noisy mesh has no truth.
+        ConfigError: A folder is missing or holds no mesh, or a noisy mesh has no truth or two.
 
     Source: P.-S. Wang, Y. Liu, X. Tong, Mesh Denoising via Cascaded Normal Regression, 2016, for the layout.
 
@@ -57,7 +57,7 @@ def list_pairs(folder: Path | str, split: Split) -> list[PairFiles]:
         'boy.obj'
     """
     noisy_folder, clean_folder = (Path(folder) / split / part for part in ("noisy", "original"))
-    truths = {path.stem: path for path in _meshes(clean_folder)}
+    truths = _by_stem(_meshes(clean_folder))
     pairs = []
     for noisy in _meshes(noisy_folder):
         cut = _SUFFIX.fullmatch(noisy.stem)
@@ -69,6 +69,17 @@ def list_pairs(folder: Path | str, split: Split) -> list[PairFiles]:
             )
         pairs.append(PairFiles(noisy, clean))
     return pairs
+
+
+def _by_stem(paths: list[Path]) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for path in paths:
+        if path.stem in found:
+            raise ConfigError(
+                f"{found[path.stem]} and {path} are truths of one name", hint="rename or remove one of them"
+            )
+        found[path.stem] = path
+    return found
 
 
 def load_pair(pair: PairFiles) -> tuple[FloatArray, FloatArray, FaceArray]:
@@ -112,7 +123,8 @@ def _meshes(folder: Path) -> list[Path]:
             f"no such folder: {folder}",
             hint="a dataset has train/noisy, train/original, test/noisy and test/original",
         )
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUPPORTED)
+    shown = (path for path in folder.iterdir() if not path.name.startswith("."))
+    found = sorted(path for path in shown if path.suffix.lower() in SUPPORTED)
     if not found:
         raise ConfigError(f"no mesh in {folder}", hint=f"supported: {', '.join(SUPPORTED)}")
     return found

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from gcnd.data.shapes import SHAPE_KINDS, Shape, ShapeKind, make_shape
 from gcnd.errors import ConfigError
-from gcnd.formats.atomic import write_atomic_npz
+from gcnd.formats.atomic import DAMAGED_NPZ, write_atomic_npz
 
 SHAPES_VERSION = 4
 """Raise when `make_shape` changes what a seed gives: older files are then ignored."""
@@ -38,6 +37,7 @@ def load_shapes(
     *,
     workers: int = 2,
     kinds: Mapping[ShapeKind, float] = DEFAULT_KINDS,
+    progress: Callable[[int, int], None] | None = None,
 ) -> list[Shape]:
     """Return `n` procedural shapes, from disk where they are and made and stored where they are not.
 
@@ -50,6 +50,7 @@ def load_shapes(
         directory: Where the ``.npz`` files lie; made if missing.
         workers: Processes that make what is missing; 1 works in this process.
         kinds: Share of each kind, any positive scale; kinds left out are not made.
+        progress: Called with the shapes made and those to make after each.
 
     Returns:
         The shapes in seed order.
@@ -73,7 +74,9 @@ def load_shapes(
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
     missing = [job for job in wanted if not shape_path(folder, *job).exists()]
-    _make_all(missing, folder, workers)
+    for made, _ in enumerate(_make_all(missing, folder, workers), start=1):
+        if progress is not None:
+            progress(made, len(missing))
     return [_read(shape_path(folder, *job)) or _make(folder, *job) for job in wanted]
 
 
@@ -103,16 +106,18 @@ def kind_sequence(n: int, kinds: Mapping[ShapeKind, float]) -> list[ShapeKind]:
     return sequence
 
 
-def _make_all(jobs: Sequence[tuple[int, ShapeKind]], folder: Path, workers: int) -> None:
+def _make_all(jobs: Sequence[tuple[int, ShapeKind]], folder: Path, workers: int) -> Iterator[None]:
+    """Makes what is missing, one file at every step of the iteration."""
     if workers == 1 or len(jobs) < 2:
         for seed, kind in jobs:
             _make(folder, seed, kind)
+            yield
         return
     # A fork would copy locks held by threads of the parent, such as torch's.
     with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=get_context("spawn")) as pool:
         futures = [pool.submit(_make_file, folder, seed, kind) for seed, kind in jobs]
         for future in futures:
-            future.result()
+            yield future.result()
 
 
 def _make_file(folder: Path, seed: int, kind: ShapeKind) -> None:
@@ -131,5 +136,5 @@ def _read(path: Path) -> Shape | None:
         with np.load(path, allow_pickle=False) as data:
             kind = next(k for k in SHAPE_KINDS if k == str(data["kind"]))
             return Shape(str(data["name"]), kind, data["vertices"], data["faces"])
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile, StopIteration):
+    except (*DAMAGED_NPZ, StopIteration):
         return None

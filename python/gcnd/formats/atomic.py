@@ -8,16 +8,21 @@ import os
 import secrets
 import shutil
 import socket
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
 from gcnd.errors import GcndError
 
-__all__ = ["replacing", "write_atomic", "write_atomic_npz", "write_hint", "write_or_tell"]
+__all__ = ["DAMAGED_NPZ", "replacing", "write_atomic", "write_atomic_npz", "write_hint", "write_or_tell"]
+
+DAMAGED_NPZ = (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error)
+"""What reading an ``.npz`` file raises that is cut short, overwritten or of something else."""
 
 _HOST = "".join(letter if letter.isalnum() else "-" for letter in socket.gethostname())[:40]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import os
+import secrets
 from contextlib import contextmanager
 from datetime import timedelta
 from typing import TYPE_CHECKING
@@ -20,6 +21,7 @@ from gcnd.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 
 _VARIABLES = ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
@@ -56,6 +58,33 @@ def first_process_first() -> Iterator[None]:
     yield
     if n_processes() > 1 and process_rank() == 0:
         dist.barrier()
+
+
+def check_shared(folder: Path) -> None:
+    """Checks that all processes see one folder: the first one writes there what the others read.
+
+    Raises:
+        ConfigError: A process, on another machine, sees another folder of that name.
+    """
+    if n_processes() == 1:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    told = [secrets.token_hex(16)]
+    dist.broadcast_object_list(told)
+    mark = folder / f".shared-{told[0]}"
+    if process_rank() == 0:
+        mark.touch()
+    dist.barrier()
+    seen: list[bool] = [False] * n_processes()
+    dist.all_gather_object(seen, mark.exists())
+    if process_rank() == 0:
+        mark.unlink()
+    if not all(seen):
+        blind = ", ".join(str(rank) for rank, sees in enumerate(seen) if not sees)
+        raise ConfigError(
+            f"{folder} is not one folder for all processes: {blind} of {n_processes()} see another",
+            hint="give a folder with --out that all machines share",
+        )
 
 
 @contextmanager

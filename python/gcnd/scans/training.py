@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple, Protocol
-from zipfile import BadZipFile
 
 import numpy as np
 
 from gcnd.data.noise import FaceArray, FloatArray
 from gcnd.errors import ConfigError, MeshError
-from gcnd.formats.atomic import write_atomic_npz
+from gcnd.formats.atomic import DAMAGED_NPZ, write_atomic_npz
 from gcnd.scans.fusion import Fusion
 from gcnd.scans.grid import Diagonal
 from gcnd.scans.kinect1 import Kinect1
@@ -282,5 +281,5 @@ def _read(folder: Path, job: _Job) -> TrainingPair | None:
                 return None
             arrays = (data[field] for field in ("clean_vertices", "noisy_vertices", "faces"))
             return TrainingPair(str(data["name"]), job.kind, *arrays)
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+    except DAMAGED_NPZ:
         return None

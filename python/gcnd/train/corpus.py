@@ -15,7 +15,15 @@ from gcnd.errors import ConfigError
 from gcnd.mesh_io import load, to_arrays
 from gcnd.scans import SCAN_KINDS
 from gcnd.scans.training import TrainingPair, load_training_pairs
-from gcnd.train.samples import CleanShape, FreshNoise, NoiseDraw, NoisyMesh, VertexSource, noisy_vertices
+from gcnd.train.samples import (
+    KIND_SHARES,
+    CleanShape,
+    FreshNoise,
+    NoiseDraw,
+    NoisyMesh,
+    VertexSource,
+    noisy_vertices,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,7 +69,8 @@ MOST_THINNED = 6.0
 """A stretched and bent form has a share of the faces between 1 / 6 and all of them."""
 
 
-SCANS_BETWEEN_LINES = 20
+MADE_BETWEEN_LINES = 20
+"""Shapes or scans made from one line of text to the next."""
 
 
 @dataclass(frozen=True)
@@ -79,18 +88,24 @@ class Corpus:
     validation: list[NoisyMesh]
 
 
-def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | None) -> Corpus:
+def generated_corpus(
+    recipe: Recipe,
+    shape_folder: Path,
+    mesh_folder: Path | None,
+    on_event: Callable[[str], None] | None = None,
+) -> Corpus:
     """Makes or reads the procedural shapes of a recipe, adds the meshes of a folder, and draws noise for them.
 
-    Subfolders of ``mesh_folder`` named cad, smooth or feature give their meshes that kind; others are "feature". Meshes
-    that are no machine parts are also learned from with fewer triangles, all of them also stretched and bent (see
-    `given_shapes`), generated machine parts also with their edges blended; for every `SHAPES_AN_EDGED_PART` shapes
-    there is a machine part with chamfers, fillets or steps besides.
+    Folders named cad, smooth or feature, the nearest first, give the meshes of ``mesh_folder`` that kind; others
+    are "feature". Meshes that are no machine parts are also learned from with fewer triangles, all of them also
+    stretched and bent (see `given_shapes`), generated machine parts also with their edges blended; for every
+    `SHAPES_AN_EDGED_PART` shapes there is a machine part with chamfers, fillets or steps besides.
 
     Args:
         recipe: Says how many shapes, and from which seed on.
         shape_folder: Keeps procedural shapes between runs.
-        mesh_folder: Clean meshes of the user's, at any depth.
+        mesh_folder: Clean meshes of the user's, at any depth; read before any shape is made.
+        on_event: Called with a line of text now and then while shapes are made.
 
     Raises:
         ConfigError: No mesh in ``mesh_folder``.
@@ -104,27 +119,44 @@ def generated_corpus(recipe: Recipe, shape_folder: Path, mesh_folder: Path | Non
         >>> generated_corpus(get_recipe("default"), Path("shapes"), None).shapes[0].kind  # doctest: +SKIP
         'cad'
     """
-    shapes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder)
-    shapes += blended_parts(shapes) + edged_parts(
-        recipe.n_shapes // SHAPES_AN_EDGED_PART, recipe.seed, shape_folder
-    )
-    shapes += _shapes_of_folder(mesh_folder)
-    held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
+    given = _shapes_of_folder(mesh_folder)
+    tell = _counted("shapes", on_event)
+    shapes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder, tell)
+    n_edged = recipe.n_shapes // SHAPES_AN_EDGED_PART
+    edged = edged_parts(n_edged, recipe.seed, shape_folder, _counted("parts with treated edges", on_event))
+    shapes += blended_parts(shapes) + edged + given
+    held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder, tell)
     validation = [NoisyMesh.untouched(s, noisy_vertices(s, VALIDATION_NOISE)) for s in held_out]
     return Corpus(shapes, FreshNoise(shapes), validation)
 
 
-def generated_shapes(n: int, seed: int, folder: Path) -> list[CleanShape]:
+def _counted(what: str, on_event: Callable[[str], None] | None) -> Callable[[int, int], None]:
+    """Says now and then how much of something is made."""
+
+    def tell(made: int, total: int) -> None:
+        if on_event is not None and (made % MADE_BETWEEN_LINES == 0 or made == total):
+            on_event(f"{what}: {made} of {total} made")
+
+    return tell
+
+
+def generated_shapes(
+    n: int, seed: int, folder: Path, progress: Callable[[int, int], None] | None = None
+) -> list[CleanShape]:
     """Loads ``n`` generated shapes from ``seed`` on, made and kept in ``folder`` where missing.
+
+    ``progress`` is called with the shapes made and those to make after each.
 
     Raises:
         GcndError: What generates shapes is not installed.
     """
-    shapes = load_generated(n, seed, folder, hint=GENERATED_HINT)
+    shapes = load_generated(n, seed, folder, hint=GENERATED_HINT, progress=progress)
     return [CleanShape(s.name, s.kind, s.vertices, s.faces) for s in shapes]
 
 
-def edged_parts(n: int, seed: int, folder: Path) -> list[CleanShape]:
+def edged_parts(
+    n: int, seed: int, folder: Path, progress: Callable[[int, int], None] | None = None
+) -> list[CleanShape]:
     """Loads ``n`` machine parts with chamfered, filleted or stepped edges, from ``seed`` on, as `generated_shapes`.
 
     Raises:
@@ -132,7 +164,7 @@ def edged_parts(n: int, seed: int, folder: Path) -> list[CleanShape]:
 
     Choice: docs/choices.md#training-shapes.
     """
-    shapes = load_generated(n, seed, folder, hint=GENERATED_HINT, kinds={"edged": 1.0})
+    shapes = load_generated(n, seed, folder, hint=GENERATED_HINT, kinds={"edged": 1.0}, progress=progress)
     return [CleanShape(s.name, "cad", s.vertices, s.faces) for s in shapes]
 
 
@@ -155,10 +187,18 @@ def blended_parts(shapes: list[CleanShape]) -> list[CleanShape]:
 
 
 def _shapes_of_folder(folder: Path | None) -> list[CleanShape]:
-    return [] if folder is None else [shape for path in find_meshes(folder) for shape in given_shapes(path)]
+    if folder is None:
+        return []
+    return [shape for path in find_meshes(folder) for shape in given_shapes(path, _kind_of(path, folder))]
 
 
-def given_shapes(path: Path) -> list[CleanShape]:
+def _kind_of(path: Path, folder: Path) -> str:
+    """The kind that the nearest folder of a mesh names, whatever its case; detailed where none does."""
+    names = [part.lower() for part in (folder.resolve().name, *path.relative_to(folder).parts[:-1])]
+    return next((name for name in reversed(names) if name in KIND_SHARES), "feature")
+
+
+def given_shapes(path: Path, kind: str) -> list[CleanShape]:
     """Reads a clean mesh of the user's and makes more of it: thinned out by quadrics, stretched and bent.
 
     The same body with detail at the size of fewer triangles, as most published scans have it: with a half and a quarter
@@ -172,7 +212,6 @@ def given_shapes(path: Path) -> list[CleanShape]:
     Choice: docs/choices.md#training-shapes.
     """
     arrays, _ = to_arrays(load(path))
-    kind = path.parent.name if path.parent.name in ("cad", "smooth", "feature") else "feature"
     mesh, _ = arrays.welded()
     whole = CleanShape(path.stem, kind, mesh.vertices, mesh.faces, draw_weight=MESH_WEIGHT)
     shapes = [whole]
@@ -231,13 +270,11 @@ def scanned_corpus(
     """
     if recipe.n_scans < 1:
         raise ConfigError(f"n_scans of recipe {recipe.name} is {recipe.n_scans}, allowed: 1 or more")
-    meshes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder) + _shapes_of_folder(mesh_folder)
-    held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder)
-
-    def tell(made: int, total: int) -> None:
-        if on_event is not None and (made % SCANS_BETWEEN_LINES == 0 or made == total):
-            on_event(f"scans: {made} of {total} made")
-
+    given = _shapes_of_folder(mesh_folder)
+    tell = _counted("shapes", on_event)
+    meshes = generated_shapes(recipe.n_shapes, recipe.seed, shape_folder, tell) + given
+    held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder, tell)
+    tell = _counted("scans", on_event)
     found = load_training_pairs(meshes, recipe.n_scans, recipe.seed, scan_folder, progress=tell)
     pairs = [_of_scan(pair) for pair in found]
     unseen = load_training_pairs(held_out, N_VALIDATION, VALIDATION_SEED, scan_folder, kinds=SCAN_KINDS)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, WeightsError
 from gcnd.nn.cascade import StageConfig
 from gcnd.nn.distributed import mean_over_processes, n_processes, process_rank
 from gcnd.nn.networks import build_network
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from torch import Tensor, nn
+
+
+DAMAGED_HINT = "delete it; the run goes on from what is left"
 
 
 @dataclass(frozen=True)
@@ -74,13 +77,23 @@ class TrainConfig:
 
 @dataclass(frozen=True)
 class StepReport:
-    """What the loop says after a step."""
+    """What the loop says after a step.
+
+    Attributes:
+        step: Steps done.
+        steps: Steps in all.
+        loss: Of this step's batch.
+        patches_per_second: Since the loop began.
+        seconds_left: At that speed.
+        validation: E_a in degrees when the stage was last validated; None before.
+    """
 
     step: int
     steps: int
     loss: float
     patches_per_second: float
     seconds_left: float
+    validation: float | None = None
 
 
 def learning_rate(config: TrainConfig, step: int) -> float:
@@ -143,6 +156,17 @@ def check_settings(path: Path, header: dict[str, Any], config: TrainConfig) -> N
         )
 
 
+def load_state(network: nn.Module, state: dict[str, Tensor], path: Path) -> None:
+    """Loads weights into a network; raises ``WeightsError`` when the file at ``path`` held others."""
+    try:
+        network.load_state_dict(state)
+    except RuntimeError as error:
+        raise WeightsError(
+            f"{path} does not hold the weights of its network: {str(error).splitlines()[-1].strip()}",
+            hint=DAMAGED_HINT,
+        ) from error
+
+
 def _shared(network: nn.Module, device: torch.device) -> nn.Module:
     """The network itself, or what averages its gradients over all processes."""
     if n_processes() == 1:
@@ -192,11 +216,19 @@ class Trainer:
         """Restores a checkpoint and returns its header; raises ``ConfigError`` if it has another configuration."""
         tensors, header = load_tensors(path)
         check_settings(path, header, self.config)
-        self.network.load_state_dict(sub_state(tensors, "network"))
+        load_state(self.network, sub_state(tensors, "network"), path)
         average = sub_state(tensors, "average")
+        step, n_moments = (
+            header.get("step"),
+            len({k.split(".")[1] for k in tensors if k.startswith("optimizer.")}),
+        )
+        # The optimiser has none before its first step.
+        expected = 0 if step == 0 else len(self.optimizer.param_groups[0]["params"])
+        if average.keys() != self.average.state.keys() or not isinstance(step, int) or n_moments != expected:
+            raise WeightsError(f"{path} lacks a part of a checkpoint", hint=DAMAGED_HINT)
         self.average.state = {k: v.to(self.device) for k, v in average.items()}
         restore_optimizer(self.optimizer, tensors)
-        self.step = int(header["step"])
+        self.step = step
         return header
 
     def run(self, after_step: Callable[[StepReport], None], until: int | None = None) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -10,9 +9,10 @@ import torch
 
 from gcnd import _geom
 from gcnd.errors import ConfigError
-from gcnd.formats.atomic import write_atomic_npz
+from gcnd.formats.atomic import DAMAGED_NPZ, write_atomic_npz
 from gcnd.nn.cascade import VERTEX_ITERATIONS
 from gcnd.predict import predict_normals
+from gcnd.train.identity import shape_fingerprint
 from gcnd.train.samples import NoisyMesh
 
 if TYPE_CHECKING:
@@ -84,22 +84,18 @@ class DenoisedPool:
         self.shapes = shapes
         self.members: list[_Member] = []
         by_identity = {id(shape): index for index, shape in enumerate(shapes)}
-        prints = [fingerprint(shape) for shape in shapes]
+        prints = [shape_fingerprint(shape) for shape in shapes]
         for number in range(size):
             path = folder / f"{number:04d}.npz"
-            if not path.exists():
+            member = _load(path, prints)
+            if member is None:
                 noisy = noise.draw(np.random.default_rng([seed, _STREAM, number]))
                 denoised = run_stages(noisy, stages, seed + number, device, precision, vertex_iterations)
                 index = by_identity[id(noisy.shape)]
-                write_atomic_npz(
-                    path,
-                    shape=index,
-                    fingerprint=prints[index],
-                    vertices=denoised.vertices.astype(np.float32),
-                    roughness=denoised.roughness,
-                    first=noisy.vertices.astype(np.float32),
-                )
-            self.members.append(_load(path, prints))
+                positions = (mesh.vertices.astype(np.float32) for mesh in (denoised, noisy))
+                member = _Member(index, next(positions), denoised.roughness, next(positions))
+                write_atomic_npz(path, fingerprint=prints[index], **member._asdict())
+            self.members.append(member)
             if progress is not None:
                 progress(number + 1, size)
 
@@ -114,25 +110,19 @@ class DenoisedPool:
         )
 
 
-def fingerprint(shape: CleanShape) -> str:
-    """Tells a clean mesh from any other: a hash of its vertices and faces.
-
-    Example:
-        >>> from gcnd.train.samples import CleanShape
-        >>> triangle = CleanShape("t", "cad", np.eye(3), np.array([[0, 1, 2]], np.uint32))
-        >>> len(fingerprint(triangle))
-        64
-    """
-    arrays = (shape.vertices, shape.faces)
-    return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
-
-
-def _load(path: Path, prints: list[str]) -> _Member:
-    with np.load(path, allow_pickle=False) as file:
-        # An earlier version kept no positions from before the first stage.
-        same = "first" in file and int(file["shape"]) < len(prints)
-        if same and str(file["fingerprint"]) == prints[int(file["shape"])]:
-            return _Member(int(file["shape"]), file["vertices"], file["roughness"], file["first"])
+def _load(path: Path, prints: list[str]) -> _Member | None:
+    """The mesh in a file, or None if there is none or it is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            stored = {name: file[name] for name in file}
+    except DAMAGED_NPZ:
+        return None
+    # An earlier version kept no positions from before the first stage.
+    index = (
+        int(stored["shape"]) if stored.keys() >= {"shape", "fingerprint", *_Member._fields} else len(prints)
+    )
+    if index < len(prints) and str(stored["fingerprint"]) == prints[index]:
+        return _Member(index, stored["vertices"], stored["roughness"], stored["first"])
     raise ConfigError(
         f"{path} was made from other meshes than this run trains on, or by another version",
         hint="give the same meshes again, or another folder",

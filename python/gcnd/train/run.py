@@ -18,8 +18,10 @@ from gcnd.nn.cascade import Cascade, written_out
 from gcnd.nn.distributed import first_process_first, process_rank
 from gcnd.nn.networks import build_network
 from gcnd.predict import fast_precision, predict_normals
+from gcnd.train.corpus import MADE_BETWEEN_LINES
 from gcnd.train.grow import fits, grown
-from gcnd.train.loop import StepReport, TrainConfig, Trainer, check_settings
+from gcnd.train.identity import check_same_run
+from gcnd.train.loop import StepReport, TrainConfig, Trainer, check_settings, load_state
 from gcnd.train.pool import DenoisedPool, evaluation_copy, run_stages
 from gcnd.weights import save_cascade
 from gcnd.weights.files import load_header, load_tensors, save_tensors
@@ -42,6 +44,9 @@ LOG_EVERY = 100
 """Steps between lines of the log; every line holds the mean loss since the one before."""
 
 N_EXAMPLES = 3
+
+MOST_STEPS = 10**9
+"""Of a stage: more is a slip of the keyboard."""
 
 
 class TrainingRun:
@@ -81,6 +86,9 @@ class TrainingRun:
         self.validate_every, self.on_step, self.on_event = validate_every, on_step, on_event
         self.is_first = process_rank() == 0
         self.start = None if start_from is None else load_trainable(start_from)
+        self.validation: float | None = None
+        if self.is_first:
+            check_same_run(folder, recipe, corpus, self.start)
 
     def run(self) -> Path:
         """Trains every stage that is not done and returns the path of the cascade's weights."""
@@ -95,7 +103,7 @@ class TrainingRun:
                     if self.is_first:
                         save_tensors(path, state, {"config": asdict(config)})
             network: nn.Module = build_network(config.stage.network).to(self.device)
-            network.load_state_dict(load_tensors(path)[0])
+            load_state(network, load_tensors(path)[0], path)
             trained.append((config.stage, network.eval()))
         recipe = self.recipe
         cascade = Cascade.assembled(trained, recipe.refinement, recipe.vertex_iterations, recipe.keep_detail)
@@ -128,6 +136,7 @@ class TrainingRun:
             run_stages(mesh, before, 0, self.device, config.precision, self.recipe.vertex_iterations)
             for mesh in (self.corpus.validation if self.is_first else [])
         ]
+        self.validation = None
         trainer = Trainer(config, source, self._initial_weights(index, config, earlier), self.device)
         checkpoint = self.folder / f"stage{index + 1}.checkpoint.safetensors"
         if checkpoint.exists():
@@ -141,11 +150,12 @@ class TrainingRun:
                 return
             losses.append(report.loss)
             if self.on_step is not None:
-                self.on_step(index, report)
+                self.on_step(index, replace(report, validation=self.validation))
             last = report.step == report.steps
             validated = report.step % self.validate_every == 0 or last
             if validated or report.step % LOG_EVERY == 0:
                 error = self._validate(trainer, config, starts) if validated else None
+                self.validation = self.validation if error is None else error
                 self._log(index, report, float(np.mean(losses)), error)
                 losses.clear()
             if last or time.monotonic() - saved > CHECKPOINT_SECONDS:
@@ -173,7 +183,12 @@ class TrainingRun:
                 self.device,
                 config.precision,
                 self.recipe.vertex_iterations,
+                self._tell_pool,
             )
+
+    def _tell_pool(self, made: int, total: int) -> None:
+        if made % MADE_BETWEEN_LINES == 0 or made == total:
+            self._say(f"pool: {made} of {total} denoised")
 
     def _initial_weights(
         self, index: int, config: TrainConfig, earlier: list[tuple[StageConfig, nn.Module]]
@@ -238,8 +253,12 @@ def adapted(
     processor that does (docs/benchmarks.md#networks); the paper's recipes always compute in float32.
 
     Raises:
-        ConfigError: ``precision`` is neither "float32" nor "bfloat16".
+        ConfigError: ``precision`` is neither "float32" nor "bfloat16", or ``scale`` is no number above 0 that leaves at
+            most 10⁹ steps.
     """
+    most = max(stage.steps for stage in recipe.stages)
+    if not 0 < scale * most <= MOST_STEPS:
+        raise ConfigError(f"scale is {scale}, allowed: above 0, up to {MOST_STEPS / most:,.0f}")
     if precision not in (None, "float32", "bfloat16"):
         raise ConfigError(f"precision is {precision!r}, allowed: float32 or bfloat16")
     if precision is None:

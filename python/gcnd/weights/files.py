@@ -6,10 +6,10 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from gcnd.errors import WeightsError
-from gcnd.formats.atomic import replacing
+from gcnd.formats.atomic import write_atomic
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,12 +21,8 @@ _HEADER = "gcnd"
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], header: dict[str, Any]) -> None:
     """Writes tensors and a JSON header to ``path`` so that a kill leaves the old file or the new one."""
-    with replacing(path) as partial:
-        save_file(
-            {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()},
-            partial,
-            metadata={_HEADER: json.dumps(header, sort_keys=True)},
-        )
+    whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    write_atomic(path, save(whole, metadata={_HEADER: json.dumps(header, sort_keys=True)}))
 
 
 def load_header(path: Path) -> dict[str, Any]:
