@@ -1,6 +1,7 @@
 """Patches/s of the networks with the native kernels against plain torch, side by side in one run, as JSON.
 
-    python benches/networks.py
+    python benches/networks.py                    # all
+    python benches/networks.py "default next"     # one of paper first, paper next, default first, default next
 
 The two alternate, and the best of several rounds counts, so that a busy machine disturbs both alike.
 """
@@ -20,7 +21,7 @@ from torch import Tensor, nn
 from gcnd.nn.fold import folded
 from gcnd.nn.networks import PAPER_FIRST, PAPER_NEXT, NetworkConfig, build_network
 from gcnd.nn.ops import gather, knn, plain_torch
-from gcnd.train.recipes import DEFAULT_NETWORK
+from gcnd.train.recipes import RECIPES
 
 N_PATCHES, N_NODES, ROUNDS = 128, 64, 5
 
@@ -116,14 +117,17 @@ def compare(config: NetworkConfig) -> dict[str, dict[str, float]]:
 
 
 def main() -> None:
-    """Compares every network and prints JSON."""
+    """Compares every network, or those named, and prints JSON."""
     table = {}
-    for name, config in {
+    first, further = (stage.stage.network for stage in RECIPES["default"].stages)
+    networks = {
         "paper first": PAPER_FIRST,
         "paper next": PAPER_NEXT,
-        "default": DEFAULT_NETWORK,
-    }.items():
-        table[name] = compare(config)
+        "default first": first,
+        "default next": further,
+    }
+    for name in sys.argv[1:] or networks:
+        table[name] = compare(networks[name])
         print(name, table[name], file=sys.stderr, flush=True)
     print(
         json.dumps(
