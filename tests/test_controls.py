@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -320,6 +321,19 @@ def test_controls_say_what_they_are() -> None:
         "keep": "4 vertices",
         "preserve_volume": False,
     }
+
+
+def test_numbers_of_numpy_are_as_good() -> None:
+    controls = Controls(
+        np.float32(0.5),
+        np.float32(0.1),
+        np.float16(0.25),
+        preserve_volume=np.bool_(True),  # type: ignore[arg-type]
+    )
+    described = json.loads(json.dumps(controls.described()))
+    assert described == Controls(0.5, float(np.float32(0.1)), 0.25, preserve_volume=True).described()
+    results = [bits(steered(Controls(max_displacement_edges=kind(0.25)))) for kind in (np.float32, float)]
+    assert results[0] == results[1]
 
 
 def test_positions_that_overflow_are_told() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import subprocess
 import sys
@@ -70,6 +71,18 @@ def test_other_precisions_are_refused(precision: Any) -> None:
 def test_controls_of_another_kind_are_refused(preset: str) -> None:
     with pytest.raises(ConfigError, match=r"controls is .*, allowed: gcnd.Controls or None"):
         Denoiser(preset, controls={"strength": 0.5})  # type: ignore[arg-type]
+
+
+def test_numbers_of_numpy_are_as_good(preset: str) -> None:
+    options = {"seed": 2, "normal_iterations": 1, "vertex_iterations": 2}
+    for kind in (np.int64, np.uint8):
+        own = Denoiser(preset, **{name: kind(value) for name, value in options.items()})  # type: ignore[arg-type]
+        done = own.run((VERTICES, FACES))
+        assert json.loads(json.dumps(done.report()))["method"].items() >= options.items()
+        assert np.array_equal(done.after, moved_by(options, preset))
+    for wrong in (np.float64(2), np.array([2, 3]), np.bool_(True)):
+        with pytest.raises(ConfigError, match=r"vertex_iterations is .*, allowed: a whole number"):
+            Denoiser(preset, vertex_iterations=wrong)  # type: ignore[arg-type]
 
 
 def test_it_gives_what_the_function_gives(preset: str) -> None:

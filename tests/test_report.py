@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,15 @@ def test_every_figure() -> None:
     for name, vertices in (("volume_before", NOISY), ("volume_after", after)):
         assert mesh[name] == pytest.approx(trimesh.Trimesh(vertices, FACES, process=False).volume)
     assert json.loads(json.dumps(report)) == report
+
+
+def test_parameters_of_a_filter_may_be_numbers_of_numpy() -> None:
+    chosen = Filter(
+        "bilateral-normal", sigma_r=np.float32(0.5), normal_iterations=np.int64(2), sigma_s=Fraction(1, 4)
+    )
+    report = json.loads(json.dumps(chosen.run((NOISY, FACES)).report()))
+    known = {"sigma_r": 0.5, "normal_iterations": 2, "sigma_s": 0.25}
+    assert report["method"]["parameters"].items() >= known.items()
 
 
 def test_a_mesh_with_a_hole_has_no_volume() -> None:

@@ -66,6 +66,11 @@ class Controls:
                 _check_number(name, getattr(self, name), math.inf)
         if not isinstance(self.preserve_volume, bool | np.bool_):
             raise ConfigError(f"preserve_volume is {self.preserve_volume!r}, allowed: True or False")
+        for name in ("strength", "max_displacement", "max_displacement_edges", "preserve_volume"):
+            value = getattr(self, name)
+            if value is not None:
+                # Of Python's own types, as a report needs them; a number of numpy's 32 bits would make others of 32.
+                object.__setattr__(self, name, bool(value) if name == "preserve_volume" else float(value))
 
     def bind(self, mesh: Any, arrays: MeshArrays) -> tuple[MeshArrays, Callable[[Points], Points]]:
         """Checks the controls against a mesh, before any long work.
@@ -101,7 +106,7 @@ class Controls:
         if keep is not None and not isinstance(keep, str):
             keep = f"{np.count_nonzero(_as_array(keep))} vertices"
         return {
-            "strength": float(self.strength),
+            "strength": self.strength,
             "max_displacement": self.max_displacement,
             "max_displacement_edges": self.max_displacement_edges,
             "keep": keep,
@@ -116,13 +121,13 @@ class Controls:
         def limited(vertices: Points) -> Points:
             return vertices if longest is None else _limited(before, vertices, longest)
 
-        result = limited(np.where(kept[:, None], before, _blended(before, moved, float(self.strength))))
+        result = limited(np.where(kept[:, None], before, _blended(before, moved, self.strength)))
         if self.preserve_volume:
             result = restored_volume(result, mesh.faces, before, ~kept, limited)
         return result
 
     def _longest(self, mesh: MeshArrays) -> float | None:
-        limits = [] if self.max_displacement is None else [float(self.max_displacement)]
+        limits = [] if self.max_displacement is None else [self.max_displacement]
         if self.max_displacement_edges is not None:
             limits.append(self.max_displacement_edges * _geom.mean_edge_length(mesh.vertices, mesh.faces))
         return min(limits, default=None)

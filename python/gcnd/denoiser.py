@@ -71,16 +71,13 @@ class Denoiser:
             raise ConfigError(
                 f"precision is {precision!r}, allowed: {', '.join(get_args(Precision))} or None"
             )
-        check_count("seed", seed)
-        check_count("normal_iterations", normal_iterations, MOST_ITERATIONS)
-        check_count("vertex_iterations", vertex_iterations, MOST_ITERATIONS)
         if not isinstance(controls, Controls | None):
             raise ConfigError(f"controls is {controls!r}, allowed: gcnd.Controls or None")
         self.preset, self.device, self.controls = str(preset), str(device), controls or Controls()
         self.settings: dict[str, Any] = {
-            "seed": seed,
-            "normal_iterations": normal_iterations,
-            "vertex_iterations": vertex_iterations,
+            "seed": check_count("seed", seed),
+            "normal_iterations": check_count("normal_iterations", normal_iterations, MOST_ITERATIONS),
+            "vertex_iterations": check_count("vertex_iterations", vertex_iterations, MOST_ITERATIONS),
             "precision": precision,
             "boundary": boundary,
         }

@@ -6,6 +6,9 @@ about it; the command line prints both and shows no traceback.
 
 from __future__ import annotations
 
+import operator
+from typing import overload
+
 __all__ = [
     "Cancelled",
     "ConfigError",
@@ -91,7 +94,15 @@ def check_real(name: str, value: object, least: float, most: float) -> None:
         raise ConfigError(f"{name} is {value!r}, allowed: a number, {least:g} to {most:g}")
 
 
-def check_count(name: str, value: int | None, most: int = 2**64 - 1) -> None:
+@overload
+def check_count(name: str, value: int, most: int = ...) -> int: ...
+
+
+@overload
+def check_count(name: str, value: None, most: int = ...) -> None: ...
+
+
+def check_count(name: str, value: int | None, most: int = 2**64 - 1) -> int | None:
     """Checks that a count or a seed is a whole number and, as most of them must, fits the geometry core's 64 bits.
 
     Args:
@@ -99,22 +110,31 @@ def check_count(name: str, value: int | None, most: int = 2**64 - 1) -> None:
         value: What was given, of Python or numpy; None, which stands for a default, passes.
         most: Largest allowed value.
 
+    Returns:
+        The same as a number of Python's own, which the core and JSON take.
+
     Raises:
         ConfigError: If it is no whole number, below 0, or above ``most``.
 
     Example:
         >>> check_count("seed", 2**64 - 1)
+        18446744073709551615
         >>> check_count("seed", -1)
         Traceback (most recent call last):
         gcnd.errors.ConfigError: seed is -1, allowed: 0 or more
     """
     if value is None:
-        return
-    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        return None
+    try:
+        count = None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        count = None
+    if count is None:
         raise ConfigError(f"{name} is {value!r}, allowed: a whole number, 0 or more")
-    if not 0 <= value <= most:
+    if not 0 <= count <= most:
         largest = "below 2**64" if most == 2**64 - 1 else f"0 to {most}"
-        raise ConfigError(f"{name} is {value}, allowed: {'0 or more' if value < 0 else largest}")
+        raise ConfigError(f"{name} is {count}, allowed: {'0 or more' if count < 0 else largest}")
+    return count
 
 
 def check_progress(progress: object) -> None:

@@ -285,7 +285,8 @@ def _checked(method: str, defaults: Mapping[str, Any], parameters: Mapping[str, 
             if name in _COUNTS and not 0 <= value < 1 << 64:
                 raise ConfigError(f"{given} is {value}, allowed: {_COUNTS[name]}")
             check_count(given, value)
-        checked[name] = value
+        # Of Python's own types, which the core and a report take, whatever numpy's it is.
+        checked[name] = value if is_bool else int(value) if isinstance(value, Integral) else float(value)
     return checked
 
 

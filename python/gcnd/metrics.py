@@ -95,8 +95,7 @@ def vertex_error(
 
     Paper: Sec. 7.2, Eq. 8. Choice: docs/choices.md#vertex-error.
     """
-    check_count("samples", samples)
-    check_count("seed", seed)
+    samples, seed = check_count("samples", samples), check_count("seed", seed)
     result, _ = to_arrays((result_vertices, result_faces))
     truth, _ = to_arrays((truth_vertices, truth_faces))
     return _geom.vertex_error(result.vertices, result.faces, truth.vertices, truth.faces, samples, seed)

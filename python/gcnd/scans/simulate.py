@@ -94,7 +94,7 @@ def simulate(
         (True, True)
     """
     chosen = _checked_setting(kind, setting)
-    check_count("seed", seed)
+    seed = check_count("seed", seed)
     clean = np.ascontiguousarray(vertices, dtype=np.float64)
     ids = np.ascontiguousarray(faces, dtype=np.uint32)
     _geom.validate(clean, ids)
