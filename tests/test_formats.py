@@ -223,6 +223,8 @@ def test_ply_texture_coordinates_per_face_split_the_seam_only(tmp_path: Path) ->
         ("element vertex 4", "element vertex four", "makes no sense"),
         ("property float x", "property long x", "makes no sense"),
         ("property float x", "property float w", "no vertices with x, y and z"),
+        ("property float y", "property float x", "its element 'vertex' has two properties 'x'"),
+        ("property float y", "property list uchar int x", "its element 'vertex' has two properties 'x'"),
         ("format ascii 1.0\n", "", "no format line"),
         ("end_header", "endheader", "no end_header"),
         ("1 1 0 0 0 1", "1 1 zero 0 0 1", "not a number"),

@@ -57,6 +57,24 @@ def test_instances_come_in_the_order_of_the_file(tmp_path: Path) -> None:
     assert load(path).vertices[::4, 0].tolist() == [10, 20, 30]
 
 
+def test_a_node_without_a_way_back_is_refused_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = glb_of(trimesh.Scene(trimesh.Trimesh(SQUARE, TWO_FACES, process=False)))
+    nodes = [{"scale": [1, 1, 0], "children": [1]}, {"mesh": 0, "name": "a sheet"}]
+    source = written(tmp_path, "a.glb", edited_glb(data, nodes=nodes, scenes=[{"nodes": [0]}]))
+    assert main(["denoise", str(source), str(tmp_path / "b.glb"), "--method", "taubin"]) == 1
+    told = capsys.readouterr().err
+    assert "node 1 ('a sheet') makes its mesh flat" in told
+    assert "taubin (" not in told
+    # What needs no way back is no worse for it.
+    assert main(["denoise", str(source), str(tmp_path / "b.ply"), "--method", "taubin", "-q"]) == 0
+    assert main(["info", str(source)]) == 0
+    small = [{"mesh": 0, "scale": [1e-9, 1e-9, 1e-12]}]
+    source = written(tmp_path, "a.glb", edited_glb(data, nodes=small, scenes=[{"nodes": [0]}]))
+    assert main(["denoise", str(source), str(tmp_path / "b.glb"), "--method", "taubin", "-q"]) == 0
+
+
 def test_names_that_no_file_can_have_stay(tmp_path: Path) -> None:
     data = glb_of(trimesh.Scene(trimesh.Trimesh(SQUARE, TWO_FACES, process=False)))
     images = [{"uri": "\ud800.png", "name": "\ud800"}, {"uri": "Größe.png"}]

@@ -127,6 +127,8 @@ class _Glb:
         places: dict[int, list[Points]] = {}
         for node_id in sorted(placed):
             if "mesh" in nodes[node_id]:
+                if self.fetch is None:
+                    _check_way_back(node_id, nodes[node_id], placed[node_id])
                 places.setdefault(nodes[node_id]["mesh"], []).append(placed[node_id])
         return places
 
@@ -172,18 +174,30 @@ def _matrix(node: dict[str, Any]) -> Points:
     return matrix
 
 
+def _check_way_back(node_id: int, node: dict[str, Any], matrix: Points) -> None:
+    """Checks that positions in the world can be brought back to where the file has them."""
+    if not np.isfinite(matrix).all() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
+        name = f" ('{node['name']}')" if "name" in node else ""
+        raise MeshError(
+            f"node {node_id}{name} makes its mesh flat: its matrix, with those above it, has no inverse, and the "
+            "result cannot be written in its place",
+            "give the node a scale other than 0, or name an output of another format, such as .ply",
+        )
+
+
 def read_glb_shape(data: bytes, fetch: Fetch | None = None) -> ParsedMesh:
     """Reads the triangles of a whole scene at their places, whatever their materials.
 
     Args:
         data: The whole file, which `check_glb` has let pass.
-        fetch: Reads data that are in another file; by default they are refused, since they cannot be written again.
+        fetch: Reads data that are in another file; by default they are refused, since they cannot be written again, and
+            so are nodes that make their meshes flat.
 
     Returns:
         Positions, faces, and attributes ``_NAME`` that all primitives have.
 
     Raises:
-        MeshError: There is no mesh, or its data are elsewhere or not whole.
+        MeshError: There is no mesh, its data are elsewhere or not whole, or there is no way back to them.
     """
     glb = _Glb(data, fetch)
     parts = glb.parts()

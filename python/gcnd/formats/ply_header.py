@@ -132,9 +132,9 @@ def _read_line(words: list[str], header: PlyHeader, line: str) -> bool:
             count_dtype = DTYPE_FROM_PLY[count_type]
             if np.dtype(count_dtype).kind == "f":
                 raise ValueError(count_type)
-            header.elements[-1].properties.append(PlyProperty(name, DTYPE_FROM_PLY[value_type], count_dtype))
+            _add(header.elements[-1], PlyProperty(name, DTYPE_FROM_PLY[value_type], count_dtype))
         case ["property"]:
-            header.elements[-1].properties.append(PlyProperty(words[2], DTYPE_FROM_PLY[words[1]]))
+            _add(header.elements[-1], PlyProperty(words[2], DTYPE_FROM_PLY[words[1]]))
         case ["comment"] if len(words) > 2 and words[1].lower() == "texturefile":
             start = line.lower().index("texturefile") + len("texturefile")
             header.texture = header.texture or line[start:].strip()
@@ -143,3 +143,12 @@ def _read_line(words: list[str], header: PlyHeader, line: str) -> bool:
         case _:
             raise ValueError(line)
     return False
+
+
+def _add(element: PlyElement, own: PlyProperty) -> None:
+    if any(other.name == own.name for other in element.properties):
+        raise MeshError(
+            f"its element '{element.name}' has two properties '{own.name}'",
+            "nothing says which of the two is meant: rename one in the header",
+        )
+    element.properties.append(own)
