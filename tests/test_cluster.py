@@ -130,8 +130,11 @@ def start_on_ray(folder: Path, out: Path, address: str) -> subprocess.Popen[str]
 
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="no list of processes")
-@pytest.mark.parametrize("moment", ["start", "work"])
-def test_ctrl_c_leaves_no_process_of_ray(tmp_path: Path, moment: str) -> None:
+@pytest.mark.parametrize(
+    ("moment", "name"),
+    [("start", "SIGINT"), ("work", "SIGINT"), ("start", "SIGTERM"), ("work", "SIGTERM"), ("work", "SIGHUP")],
+)
+def test_a_signal_leaves_no_process_of_ray(tmp_path: Path, moment: str, name: str) -> None:
     (tmp_path / "in").mkdir()
     large = trimesh.creation.icosphere(subdivisions=6)
     for number in range(4):
@@ -146,10 +149,12 @@ def test_ctrl_c_leaves_no_process_of_ray(tmp_path: Path, moment: str) -> None:
         while len(processes_of(mark)) < 2:
             assert process.poll() is None
             time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
+    number = getattr(signal, name)
+    process.send_signal(number)
     told = process.communicate(timeout=120)[1]
-    assert process.returncode == 130
+    assert process.returncode == 128 + number
     assert "Traceback" not in told
+    assert "stopped: 0 of 4 results are there" in told
     # Ray's own agents look for their parent every few seconds; left alone they stay for a minute.
     ended = time.monotonic()
     while processes_of(mark) and time.monotonic() - ended < 15.0:

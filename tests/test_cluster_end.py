@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import types
 from typing import Any
@@ -82,6 +83,42 @@ def test_on_a_cluster_that_was_there_nothing_goes_on_after_an_error(calls: list[
     with pytest.raises(ZeroDivisionError):
         denoise_many([PAIR, PAIR, PAIR], denoiser=Filter("taubin"), ray=True, progress=progress)
     assert calls == ["init", "cancel", "cancel"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of another kind")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("moment", ["init", "wait", "shutdown"])
+def test_a_signal_with_a_handler_ends_it_at_any_moment(
+    calls: list[str], monkeypatch: pytest.MonkeyPatch, moment: str, name: str
+) -> None:
+    import ray
+
+    class Ended(BaseException):
+        """Raised by our handler."""
+
+    def ours(*_: object) -> None:
+        raise Ended
+
+    def rays(*_: object) -> None:
+        raise SystemExit
+
+    def interrupted(*arguments: Any, **options: Any) -> Any:
+        if moment == "init":  # as Ray does there
+            signal.signal(signal.SIGTERM, rays)
+        signal.raise_signal(number)
+        return real(*arguments, **options)
+
+    number, real = getattr(signal, name), getattr(ray, moment)
+    monkeypatch.setattr(ray, moment, interrupted)
+    before = {each: signal.signal(each, ours) for each in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        with pytest.raises(Ended):
+            denoise_many([PAIR], denoiser=Filter("taubin"), ray=True)
+        assert signal.getsignal(number) is ours
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+    assert calls == (["init", "cancel", "shutdown"] if moment == "wait" else ["init", "shutdown"])
 
 
 @pytest.mark.parametrize("moment", ["init", "wait", "shutdown"])

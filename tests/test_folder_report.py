@@ -102,7 +102,8 @@ def test_a_stopped_run_keeps_the_reports_of_results_that_are_there(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of another kind")
-def test_ctrl_c_leaves_the_report(folder: Path) -> None:
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_leaves_the_report(folder: Path, name: str) -> None:
     ball = trimesh.creation.icosphere(subdivisions=5)
     for number in range(20):
         save((ball.vertices, ball.faces), folder / f"c{number:02}.ply")
@@ -114,11 +115,13 @@ def test_ctrl_c_leaves_the_report(folder: Path) -> None:
     assert process.stderr is not None
     while "c01.ply" not in process.stderr.readline():
         assert process.poll() is None
-    process.send_signal(signal.SIGINT)
+    number = getattr(signal, name)
+    process.send_signal(number)
     told = process.communicate(timeout=60)[1]
-    assert process.returncode == 130
+    assert process.returncode == 128 + number
     assert "Traceback" not in told
     stopped, blank, hint = told.splitlines()[-3:]
+    assert not list(out.rglob(".*"))
     n_there = sum(path.is_file() for path in out.rglob("*"))
     assert stopped == f"stopped: {n_there} of 24 results are there"
     assert (blank, hint) == ("", "hint: run the same command again; results that are there are skipped")
@@ -126,6 +129,24 @@ def test_ctrl_c_leaves_the_report(folder: Path) -> None:
     assert len(statuses) == 24
     assert [statuses[name] for name in ("a.ply", "b.ply", "c00.ply")] == ["done"] * 3
     assert [statuses[name] for name in ("c19.ply", "d.stl", "deep/c.off")] == ["stopped"] * 3
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="terminals of another kind")
+def test_a_terminal_that_is_closed_leaves_the_report(folder: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    for number in range(20):
+        save((ball.vertices, ball.faces), folder / f"c{number:02}.ply")
+    out, report = folder.parent / "out", folder.parent / "report.json"
+    command = ["denoise", str(folder), str(out), "--method", "bilateral-normal", "--report", str(report)]
+    code = "import os, pty, sys; pid, terminal = pty.fork()\n"
+    code += "if pid == 0: os.execv(sys.executable, [sys.executable, '-m', 'gcnd.cli', *sys.argv[1:]])\n"
+    code += "seen = b''\nwhile b'c01' not in seen: seen += os.read(terminal, 1000)\n"
+    code += "os.close(terminal); print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))"
+    # In a process of its own: what is doubled must have no threads.
+    done = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, timeout=120)
+    assert done.stdout == f"{128 + signal.SIGHUP}\n", done.stderr
+    statuses = {row["name"]: row["status"] for row in json.loads(report.read_text())}
+    assert (statuses["c00.ply"], statuses["c19.ply"]) == ("done", "stopped")
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,8 @@ __all__ = ["run_on_ray"]
 MAX_RETRIES = 3
 """How often a mesh is begun again after its worker died."""
 
+_ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
 
 def run_on_ray(
     jobs: Sequence[Job], denoiser: Method, wanted: Wanted, progress: Progress | None, tell: Tell
@@ -53,40 +55,55 @@ def run_on_ray(
 def _connected(ray: Any) -> Iterator[None]:
     """Starts a cluster, or connects to the one that ``RAY_ADDRESS`` names, and ends at the end what was begun here.
 
-    Without that, a program that leaves at once on Ctrl-C would leave some of the processes that Ray started.
+    Without that, a program that leaves at once on a signal would leave some of the processes that Ray started.
     """
     if ray.is_initialized():
         yield
         return
     try:
-        with _ctrl_c_waits():
+        with _signals_wait():
             ray.init(log_to_driver=False, include_dashboard=False)
         yield
     finally:
-        with _ctrl_c_waits():
+        with _signals_wait():
             # Ends processes that init has started; a cluster that init has only connected to goes on.
             ray.shutdown()
 
 
 @contextmanager
-def _ctrl_c_waits() -> Iterator[None]:
-    """Obeys Ctrl-C at the end of the block: Ray stopped while it starts or ends processes loses sight of them."""
+def _signals_wait() -> Iterator[None]:
+    """Obeys signals at the end of the block, which calls Ray.
+
+    Ray stopped while it starts or ends processes loses sight of them, and of what a handler raises in its other calls.
+    Ctrl-C, and of SIGTERM and SIGHUP those that have a handler, whose place Ray's own, which leaves in the middle of
+    all, does not take.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    noticed = threading.Event()
+    noticed: list[int] = []
 
     def handle(number: int, frame: FrameType | None) -> None:
-        noticed.set()
+        noticed.append(number)
 
-    previous = signal.signal(signal.SIGINT, handle)
+    def set_other(number: int, handler: Any) -> Any:
+        return handle if number in previous else set_handler(number, handler)
+
+    set_handler = signal.signal
+    previous: dict[int, Any] = {n: h for n in _ENDING if callable(h := signal.getsignal(n))}
+    previous[signal.SIGINT] = signal.getsignal(signal.SIGINT)
+    for number in previous:
+        set_handler(number, handle)
+    signal.signal = set_other
     try:
         yield
     finally:
-        # None stands for a handler that was not set from Python, and cannot be set again.
-        signal.signal(signal.SIGINT, signal.default_int_handler if previous is None else previous)
-        if noticed.is_set():
-            signal.raise_signal(signal.SIGINT)
+        signal.signal = set_handler
+        for number, handler in previous.items():
+            # None stands for a handler that was not set from Python, and cannot be set again.
+            set_handler(number, signal.default_int_handler if handler is None else handler)
+        for number in noticed[:1]:
+            signal.raise_signal(number)
 
 
 def _spread(
@@ -99,11 +116,13 @@ def _spread(
 ) -> list[Outcome]:
     """The outcomes of the jobs, which work at once as far as the cluster has CPUs."""
     work: Any = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(_work)
-    shared = ray.put(denoiser)
-    index_of = {work.remote(job, shared, wanted): i for i, job in enumerate(jobs)}
+    index_of: dict[Any, int] = {}
     outcomes: dict[int, Outcome] = {}
     whole, past = sum(job.weight for job in jobs), 0.0
     try:
+        with _signals_wait():
+            shared = ray.put(denoiser)
+            index_of.update({work.remote(job, shared, wanted): i for i, job in enumerate(jobs)})
         for index, outcome in _as_they_end(ray, index_of, jobs):
             if outcome is not None:
                 outcomes[index] = outcome
@@ -114,9 +133,10 @@ def _spread(
                 raise Cancelled("cancelled")
     except BaseException:
         # On a cluster that goes on, they would go on too.
-        for task, index in index_of.items():
-            if index not in outcomes:
-                ray.cancel(task)
+        with _signals_wait():
+            for task, index in index_of.items():
+                if index not in outcomes:
+                    ray.cancel(task)
         raise
     return [outcomes[index] for index in range(len(jobs))]
 
@@ -127,16 +147,19 @@ def _as_they_end(
     """Yields the outcome of each task as it ends, with its job's index; (-1, None) ten times a second meanwhile."""
     waiting = list(index_of)
     while waiting:
-        ready, waiting = ray.wait(waiting, timeout=0.1)
+        with _signals_wait():
+            ready, waiting = ray.wait(waiting, timeout=0.1)
         if not ready:
             yield -1, None
         for task in ready:
             index = index_of[task]
             try:
-                yield index, ray.get(task)
+                with _signals_wait():
+                    outcome = ray.get(task)
             except ray.exceptions.RayError as error:
                 failure = GcndError(f"its worker was lost: {type(error).__name__}")
-                yield index, Outcome(jobs[index].name, "failed", error=failure)
+                outcome = Outcome(jobs[index].name, "failed", error=failure)
+            yield index, outcome
 
 
 def _work(job: Job, denoiser: Method, wanted: Wanted) -> Outcome:

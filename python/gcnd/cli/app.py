@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0; 1 for an error in the input, files or parameters, and, without a word, when the
         reader of stdout is gone; 2 for a wrong command line; 130 when interrupted, and 128 plus the number of
-        another signal that ended a comparison.
+        another signal that ended a comparison or a run of `gcnd denoise`.
     """
     try:
         try:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gcnd.cli.interrupt import nothing_to_lose
+from gcnd.cli.interrupt import nothing_to_lose, tidying_up
 from gcnd.cli.options import JsonFlag, Seed, TriangulateFlag, print_json
 from gcnd.cli.progress import show_progress
 from gcnd.errors import ConfigError, MeshError
@@ -230,16 +230,17 @@ def _run_file(input_mesh: Path, output_mesh: Path, request: Request, *, quiet: b
             check_output_path(request.report, *referred, is_mesh=False)
         method = request.method()
     loading = time.perf_counter() - start
-    with show_progress(quiet=quiet) as progress:
-        done = method.run(mesh, progress=progress)
-    writing = time.perf_counter()
-    write_denoised(done, output_mesh, source=input_mesh, confidence=request.confidence)
-    seconds = time.perf_counter() - start
-    if request.report is not None:
-        done.seconds["loading"] = loading
-        done.seconds["writing"] = time.perf_counter() - writing
-        files = {"input": str(input_mesh), "output": str(output_mesh)}
-        write_report(request.report, files | done.report())
+    with tidying_up():
+        with show_progress(quiet=quiet) as progress:
+            done = method.run(mesh, progress=progress)
+        writing = time.perf_counter()
+        write_denoised(done, output_mesh, source=input_mesh, confidence=request.confidence)
+        seconds = time.perf_counter() - start
+        if request.report is not None:
+            done.seconds["loading"] = loading
+            done.seconds["writing"] = time.perf_counter() - writing
+            files = {"input": str(input_mesh), "output": str(output_mesh)}
+            write_report(request.report, files | done.report())
     if as_json:
         print_json(
             {

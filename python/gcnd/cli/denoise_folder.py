@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from gcnd.cli.caution import ignoring_warnings
-from gcnd.cli.interrupt import nothing_to_lose
+from gcnd.cli.interrupt import Ended, nothing_to_lose, tidying_up
 from gcnd.cli.options import print_json
 from gcnd.cli.progress import show_progress
 from gcnd.errors import GcndError, MeshError
@@ -56,30 +57,31 @@ def run_folder(
             _check_report_path(request.report, results)
         method = request.method()
     known: dict[str, Outcome] = {}
-    try:
-        # The table tells them, with the names of the files.
-        with ignoring_warnings(), show_progress(quiet=quiet) as progress:
-            outcomes = denoise_many(
-                input_folder,
-                output_folder,
-                denoiser=method,
-                overwrite=overwrite,
-                confidence=request.confidence,
-                reports=request.report is not None,
-                ray=ray,
-                progress=progress,
-                tell=lambda outcome: known.update({outcome.name: outcome}),
-            )
-    except KeyboardInterrupt:
+    with tidying_up():
+        try:
+            # The table tells them, with the names of the files.
+            with ignoring_warnings(), show_progress(quiet=quiet) as progress:
+                outcomes = denoise_many(
+                    input_folder,
+                    output_folder,
+                    denoiser=method,
+                    overwrite=overwrite,
+                    confidence=request.confidence,
+                    reports=request.report is not None,
+                    ray=ray,
+                    progress=progress,
+                    tell=lambda outcome: known.update({outcome.name: outcome}),
+                )
+        except (KeyboardInterrupt, Ended):
+            if request.report is not None:
+                _write_report(request.report, known, results, output_folder)
+            if not quiet:
+                made = [outcome.status == "done" for outcome in known.values()]
+                there = made if overwrite else [is_done(*paths) for paths in results.items()]
+                _tell_how_to_go_on(sum(there), len(results), overwrite)
+            raise
         if request.report is not None:
             _write_report(request.report, known, results, output_folder)
-        if not quiet:
-            made = [outcome.status == "done" for outcome in known.values()]
-            there = made if overwrite else [is_done(*paths) for paths in results.items()]
-            _tell_how_to_go_on(sum(there), len(results), overwrite)
-        raise
-    if request.report is not None:
-        _write_report(request.report, known, results, output_folder)
     if as_json:
         print_json({"settings": request.settings, "files": [_row(outcome) for outcome in outcomes]})
     else:
@@ -113,9 +115,10 @@ def _print_summary(outcomes: Sequence[Outcome], quiet: bool) -> None:
 
 
 def _tell_how_to_go_on(n_there: int, n_files: int, overwrite: bool) -> None:
-    print(f"stopped: {n_there} of {n_files} results are there", file=sys.stderr)
     then = "with --overwrite it begins with the first" if overwrite else "results that are there are skipped"
-    print(f"\nhint: run the same command again; {then}", file=sys.stderr)
+    with suppress(OSError):  # a terminal that was closed reads no more
+        print(f"stopped: {n_there} of {n_files} results are there", file=sys.stderr)
+        print(f"\nhint: run the same command again; {then}", file=sys.stderr)
 
 
 def _check_report_path(path: Path, results: Mapping[Path, Path]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from gcnd.cli.interrupt import check_interrupted
 
@@ -49,16 +49,22 @@ def _bar() -> Iterator[ProgressCallback]:
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("starting", total=1.0)
+    progress = Progress(*columns, console=Console(stderr=True), transient=True)
+    task = progress.add_task("starting", total=1.0)
 
-        def callback(fraction: float, stage: str) -> None:
-            # Markup off: a stage such as "[1/2]" must not be taken for a style.
-            from rich.markup import escape
+    def callback(fraction: float, stage: str) -> None:
+        # Markup off: a stage such as "[1/2]" must not be taken for a style.
+        from rich.markup import escape
 
-            progress.update(task, completed=min(max(fraction, 0.0), 1.0), description=escape(stage))
+        progress.update(task, completed=min(max(fraction, 0.0), 1.0), description=escape(stage))
 
+    progress.start()
+    try:
         yield callback
+    finally:
+        # A terminal that was closed cannot be cleared, which must not hide why the block ends.
+        with suppress(OSError):
+            progress.stop()
 
 
 def _stage_printer() -> ProgressCallback:
