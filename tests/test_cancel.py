@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 import gcnd.predict
-from gcnd import Cancelled, ConfigError, Denoiser, _geom
+from gcnd import Cancelled, ConfigError, Controls, Denoiser, _geom
 from gcnd.cli import interrupt, main
 from gcnd.cli.interrupt import check_interrupted, noticing_ctrl_c
 from gcnd.cli.progress import show_progress
@@ -280,6 +281,26 @@ def test_a_run_stops_at_any_moment_and_asks_nothing_after_it() -> None:
             denoiser.run(mesh, progress=until)
         assert asked == stages[:last]
     assert np.array_equal(denoiser.run(mesh).after, expected)
+
+
+def test_finishing_asks_between_its_steps_and_does_none_after_a_no() -> None:
+    chosen = Filter("taubin", controls=Controls(preserve_volume=True, max_displacement_edges=0.1))
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    noisy = add_noise(np.array(ball.vertices), ball.faces.astype(np.uint32), level=0.3, seed=1)
+    asked: Counter[str] = Counter()
+    chosen.run((noisy, ball.faces), progress=lambda _, stage: asked.update([stage]))
+    n_steps = asked["finishing"]
+    assert n_steps > 30
+    for last in (2, n_steps // 2, n_steps):
+        told: Counter[str] = Counter()
+
+        def until(_: float, stage: str, told: Counter[str] = told, last: int = last) -> bool:
+            told.update([stage])
+            return told["finishing"] < last
+
+        with pytest.raises(Cancelled, match="finishing"):
+            chosen.run((noisy, ball.faces), progress=until)
+        assert told["finishing"] == last
 
 
 def test_every_long_stage_of_a_run_asks_many_times() -> None:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gcnd import _geom
 from gcnd.errors import ConfigError, MeshError
 from gcnd.mesh_io import MeshArrays
-from gcnd.volume import check_closed, restored_volume
+from gcnd.volume import check_closed, restored_volume, tell_nobody
 
 __all__ = ["Controls"]
 
@@ -72,12 +72,15 @@ class Controls:
                 # Of Python's own types, as a report needs them; a number of numpy's 32 bits would make others of 32.
                 object.__setattr__(self, name, bool(value) if name == "preserve_volume" else float(value))
 
-    def bind(self, mesh: Any, arrays: MeshArrays) -> tuple[MeshArrays, Callable[[Points], Points]]:
+    def bind(
+        self, mesh: Any, arrays: MeshArrays, ask: Callable[[], object] = tell_nobody
+    ) -> tuple[MeshArrays, Callable[[Points], Points]]:
         """Checks the controls against a mesh, before any long work.
 
         Args:
             mesh: As it was given, for its attributes.
             arrays: Its vertices (V, 3) and faces.
+            ask: Called between the steps of the function that is returned; what it raises stops that.
 
         Returns:
             The mesh with each position once, (V', 3), and a function from positions (V', 3) that a method found to
@@ -96,7 +99,7 @@ class Controls:
         longest = self._longest(welded)
 
         def finish(moved: Points) -> Points:
-            return _like_before(arrays, welded, ids, self._steered(welded, moved, kept, longest))
+            return _like_before(arrays, welded, ids, self._steered(welded, moved, kept, longest, ask))
 
         return welded, finish
 
@@ -114,16 +117,21 @@ class Controls:
         }
 
     def _steered(
-        self, mesh: MeshArrays, moved: Points, kept: NDArray[np.bool_], longest: float | None
+        self,
+        mesh: MeshArrays,
+        moved: Points,
+        kept: NDArray[np.bool_],
+        longest: float | None,
+        ask: Callable[[], object],
     ) -> Points:
         before = mesh.vertices
 
         def limited(vertices: Points) -> Points:
-            return vertices if longest is None else _limited(before, vertices, longest)
+            return vertices if longest is None else _limited(before, vertices, longest, ask)
 
         result = limited(np.where(kept[:, None], before, _blended(before, moved, self.strength)))
         if self.preserve_volume:
-            result = restored_volume(result, mesh.faces, before, ~kept, limited)
+            result = restored_volume(result, mesh.faces, before, ~kept, limited, ask)
         return result
 
     def _longest(self, mesh: MeshArrays) -> float | None:
@@ -187,13 +195,14 @@ def _blended(before: Points, moved: Points, strength: float) -> Points:
     return np.clip(before + strength * (moved - before), low, high)
 
 
-def _limited(before: Points, moved: Points, longest: float) -> Points:
+def _limited(before: Points, moved: Points, longest: float, ask: Callable[[], object]) -> Points:
     """Displacements shortened to ``longest`` where they are longer, in 64 bits and in what the input fits in."""
     # A little less, so that no other way of taking the norm rounds to more.
     longest *= 1.0 - 2.0**-49
     result = moved.copy()
     far = np.arange(len(before))
     for share in _SHRINKING:
+        ask()
         far = far[_is_too_far(before[far], result[far], longest)]
         if not len(far):
             break

@@ -129,7 +129,7 @@ def run_on(
     _geom.validate(arrays.vertices, arrays.faces)
     check_memory(len(arrays.vertices), len(arrays.faces), bytes_a_face(len(arrays.faces)))
     stages.ask()
-    mesh_once, finish = controls.bind(mesh, arrays)
+    mesh_once, finish = controls.bind(mesh, arrays, stages.ask)
     stages(0.0, "adjacency")
     surface = as_surface(mesh_once)
     start = Start(surface.topology, surface.mesh.vertices, takes_spikes_off=takes_spikes_off)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gcnd.errors import MeshError
 
-__all__ = ["check_closed", "enclosed_volumes", "open_edges", "restored_volume"]
+__all__ = ["check_closed", "enclosed_volumes", "open_edges", "restored_volume", "tell_nobody"]
 
 Points = NDArray[np.float64]
 Faces = NDArray[np.uint32]
@@ -19,6 +19,10 @@ _STEPS = 20
 
 _TOLERANCE = 1e-12
 """Of the sum of the tetrahedra's absolute volumes: what rounding leaves."""
+
+
+def tell_nobody() -> None:
+    """Lets the work go on."""
 
 
 def open_edges(faces: Faces) -> int:
@@ -78,7 +82,12 @@ def enclosed_volumes(vertices: Points, faces: Faces, body: NDArray[np.int64]) ->
 
 
 def restored_volume(
-    vertices: Points, faces: Faces, target: Points, free: NDArray[np.bool_], limit: Callable[[Points], Points]
+    vertices: Points,
+    faces: Faces,
+    target: Points,
+    free: NDArray[np.bool_],
+    limit: Callable[[Points], Points],
+    ask: Callable[[], object] = tell_nobody,
 ) -> Points:
     """Moves a closed mesh along its vertex normals until each body encloses the target's volume.
 
@@ -90,6 +99,7 @@ def restored_volume(
         target: Positions (V, 3) whose volumes are wanted.
         free: Vertices that may move (V,).
         limit: Brings positions (V, 3) back to where they are allowed; the volume comes as near as that permits.
+        ask: Called before each step and between its parts; what it raises stops the work.
 
     Returns:
         Positions (V, 3); exactly ``vertices`` where no volume is missing.
@@ -98,12 +108,14 @@ def restored_volume(
     """
     body = _bodies(faces, len(vertices))
     origin = target.mean(axis=0)
+    ask()
     wanted = enclosed_volumes(target - origin, faces, body)
     gradient = _gradient(vertices - origin, faces)
     length = np.linalg.norm(gradient, axis=1, keepdims=True)
     direction = np.divide(gradient, length, out=np.zeros_like(gradient), where=(length > 0) & free[:, None])
     moved = vertices
     for _ in range(_STEPS):
+        ask()
         tetrahedra = _tetrahedra(moved - origin, faces)
         n_bodies = len(wanted)
         missing = wanted - np.bincount(body[faces[:, 0]], weights=tetrahedra, minlength=n_bodies)
@@ -111,6 +123,7 @@ def restored_volume(
         missing[np.abs(missing) <= _TOLERANCE * size] = 0.0
         if not missing.any():
             break
+        ask()
         slope = np.bincount(
             body, weights=(_gradient(moved - origin, faces) * direction).sum(axis=1), minlength=n_bodies
         )
