@@ -10,7 +10,7 @@ from gcnd.errors import MeshError
 __all__ = ["available_bytes", "check_memory", "filter_bytes_a_face", "needed_bytes"]
 
 BYTES_A_FACE = 700
-"""A face of a mesh in work: 575 measured between 100,000 and 1,000,000 faces (docs/limits.md), and a quarter."""
+"""A face of a mesh in work: 575 measured between 100,000 and 1,000,000 faces (docs/limits.md), and a fifth."""
 
 BYTES_OF_FACTORS = {"l0": 140, "tgv": 350}
 """Filters that factorise systems: a face takes so many bytes times the binary logarithm of the number of faces, a fifth
