@@ -70,6 +70,24 @@ def test_train_does_not_replace_the_weights_that_it_starts_from(
     assert [path.name for path in tmp_path.iterdir()] == ["fast.safetensors"]
 
 
+def test_ctrl_c_says_that_training_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from gcnd.train import corpus, run
+
+    class Stopped:
+        def __init__(self, *_: Any, **__: Any) -> None:
+            pass
+
+        def run(self) -> Path:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "TrainingRun", Stopped)
+    monkeypatch.setattr(corpus, "generated_corpus", lambda *_, **__: None)
+    assert main(["train", "--out", str(tmp_path)]) == 130
+    assert "the same command goes on from the last checkpoint" in capsys.readouterr().err
+
+
 def test_train_leaves_nothing_where_its_data_is_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
