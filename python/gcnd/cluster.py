@@ -86,16 +86,16 @@ def _signals_wait() -> Iterator[None]:
     def handle(number: int, frame: FrameType | None) -> None:
         noticed.append(number)
 
-    def set_other(number: int, handler: Any) -> Any:
-        return handle if number in previous else set_handler(number, handler)
+    def set_other(signalnum: int, handler: Any) -> Any:
+        return handle if signalnum in previous else set_handler(signalnum, handler)
 
     set_handler = signal.signal
     previous: dict[int, Any] = {n: h for n in _ENDING if callable(h := signal.getsignal(n))}
     previous[signal.SIGINT] = signal.getsignal(signal.SIGINT)
-    for number in previous:
-        set_handler(number, handle)
-    signal.signal = set_other
     try:
+        for number in previous:
+            set_handler(number, handle)
+        signal.signal = set_other
         yield
     finally:
         signal.signal = set_handler
