@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import csv
+import html
 import io
 import json
 import re
@@ -18,13 +19,14 @@ from PIL import Image
 from browser import find_browser, running_browser
 from compare_cases import ball, case, method, moved
 from gcnd import _geom
+from gcnd.compare.charts import bar_chart, time_chart
 from gcnd.compare.finish import finish
 from gcnd.compare.pictures import choose_view, draw_case, scale_end
 from gcnd.compare.rows import INPUT, Row
 from gcnd.compare.run import Conditions
 from gcnd.compare.summary import ALL, summarise, with_best
 from gcnd.formats.atomic import write_atomic_npz
-from gcnd.picture import view_matrix
+from gcnd.picture import Panel, save_panels, view_matrix
 
 
 def row(method: str, e_a: float | None, **values: Any) -> Row:
@@ -191,6 +193,21 @@ def test_what_is_written_and_that_the_page_stands_alone(tmp_path: Path) -> None:
     assert "went &lt;wrong&gt;" in page
     assert "skipped x: not there" in page
     assert not [path.name for path in tmp_path.iterdir() if path.name.endswith(".tmp")]
+
+
+@pytest.mark.parametrize("name", [r"a$\frac$", "x$_1$_{", "网格"])
+@pytest.mark.filterwarnings("error")
+def test_names_stand_in_charts_as_they_are(name: str, tmp_path: Path) -> None:
+    rows = [row(method, 3.0, kind=kind, level=name) for method in (INPUT, name) for kind in (name, "cad")]
+    lines = summarise(rows)
+    charts = [bar_chart(lines, "gaussian"), time_chart([line for line in lines if line.kind == ALL], [])]
+    for chart in charts:
+        assert name in html.unescape(chart)  # as text, or beside its outlines as a comment
+    panel = Panel(name, ball().truth, ball().faces)
+    if name.isascii():
+        save_panels(tmp_path / "a.png", [[panel]])
+        with Image.open(tmp_path / "a.png") as image:
+            assert image.width > 100
 
 
 @pytest.mark.skipif(find_browser() is None, reason="no Chromium is installed, and GCND_BROWSER names none")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import base64
 import html
 import re
+import warnings
 from io import StringIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,9 +59,23 @@ def data_uri(data: bytes, kind: str) -> str:
 
 
 def inline_svg(figure: Figure) -> str:
-    """Return a chart as SVG that stands in a page: no XML head, no metadata, no namespaces, which HTML knows itself."""
-    text = StringIO()
-    figure.savefig(text, format="svg")
-    svg = text.getvalue()
+    """Return a chart as SVG that stands in a page: no XML head, no metadata, no namespaces, which HTML knows itself.
+
+    Letters are outlines, so that the chart looks the same everywhere; where the font lacks one, the browser draws all.
+    """
+    try:
+        svg = _svg(figure, "path", "error")
+    except UserWarning:
+        svg = _svg(figure, "none", "ignore")
     svg = _METADATA.sub("", svg[svg.index("<svg") :])
     return _NAMESPACE.sub("", svg)
+
+
+def _svg(figure: Figure, letters: Literal["path", "none"], if_missing: Literal["error", "ignore"]) -> str:
+    from matplotlib import rc_context
+
+    text = StringIO()
+    with rc_context({"svg.fonttype": letters}), warnings.catch_warnings():
+        warnings.filterwarnings(if_missing, r"Glyph \d+ .* missing from", UserWarning)
+        figure.savefig(text, format="svg")
+    return text.getvalue()

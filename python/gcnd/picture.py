@@ -179,4 +179,4 @@ def _draw(
     axes.set_xlim(x - half, x + half)
     axes.set_ylim(y - half, y + half)
     axes.set_aspect("equal")
-    axes.set_title(panel.title, fontsize=11)
+    axes.set_title(panel.title, fontsize=11, parse_math=False)

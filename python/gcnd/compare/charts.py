@@ -42,11 +42,13 @@ def bar_chart(lines: Sequence[Line], noise: str) -> str:
     for axes, kind in zip(panels, kinds, strict=True):
         values = {(line.method, line.level): line.e_a or 0.0 for line in own if line.kind == kind}
         _bars(axes, methods, levels, values)
-        axes.set_title("all kinds" if kind == ALL else kind, fontsize=11)
+        axes.set_title("all kinds" if kind == ALL else kind, fontsize=11, parse_math=False)
         axes.set_xlabel("E_a, degrees")
     panels[0].invert_yaxis()
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(levels), frameon=False)
+    legend = figure.legend(handles, labels, loc="outside upper center", ncols=len(levels), frameon=False)
+    for text in legend.get_texts():
+        text.set_parse_math(False)
     return inline_svg(figure)
 
 
@@ -60,7 +62,7 @@ def _bars(
         colour = _LEVEL_COLOURS[slot % len(_LEVEL_COLOURS)]
         bars = axes.barh(places, widths, step * 0.9, color=colour, label=f"noise {level}")
         axes.bar_label(bars, [f"{width:.2f}" if width else "–" for width in widths], fontsize=7, padding=2)
-    axes.set_yticks(range(len(methods)), methods, fontsize=9)
+    axes.set_yticks(range(len(methods)), methods, fontsize=9, parse_math=False)
     axes.spines[["top", "right"]].set_visible(False)
     axes.margins(x=0.15, y=0.01)
 
@@ -93,7 +95,8 @@ def time_chart(lines: Sequence[Line], own_labels: Sequence[str]) -> str:
         axes.annotate(str(number), (x, y), **text)
         place = 1 - (number - 0.5) / len(timed)
         name = f"{number}  {line.method}"
-        legend.text(0, place, name, fontsize=9, color=colour, va="center", transform=legend.transAxes)
+        looks = {"fontsize": 9, "color": colour, "va": "center", "parse_math": False}
+        legend.text(0, place, name, transform=legend.transAxes, **looks)
     axes.set_xscale("log")
     axes.margins(0.08)
     axes.set_xlabel("seconds for a million faces")
