@@ -258,3 +258,24 @@ def test_pairs_with_one_name_are_refused_and_their_noise_is_their_own(
     (data / "noisy" / "a_n1.off").unlink()
     assert main(arguments) == 0
     assert "--noise, --levels, --fraction and --seed are not for pairs" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="names of files are Unicode there")
+def test_names_that_are_not_utf_8_are_written_with_their_bytes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, out = tmp_path / os.fsdecode(b"data\xff"), tmp_path / "out"
+    write_meshes(data, os.fsdecode(b"kind\xfe/b\xff.ply"))
+    methods = ["--methods", "laplacian", "--pictures", "one"]
+    arguments = ["compare", str(data), "--out", str(out), *QUICK, *methods]
+    assert main(arguments) == 0
+    mesh, kind = r"kind\xfe/b\xff", r"kind\xfe"
+    assert f"{mesh}, gaussian 0.2: laplacian" in capsys.readouterr().err
+    rows = json.loads((out / "results.json").read_text(encoding="utf-8"))["rows"]
+    assert {(row["mesh"], row["kind"]) for row in rows} == {(mesh, kind)}
+    assert [row["error"] for row in rows] == [None] * 2
+    assert mesh in (out / "results.csv").read_text(encoding="utf-8")
+    assert mesh in (out / "report.html").read_text(encoding="utf-8")
+    kept = (out / "rows.jsonl").read_bytes()
+    assert main([*arguments, "--quiet"]) == 0
+    assert (out / "rows.jsonl").read_bytes() == kept

@@ -77,7 +77,7 @@ def run(
     from gcnd.compare.finish import finish
     from gcnd.compare.methods import available, parse_methods
     from gcnd.compare.report import check_report_libraries
-    from gcnd.compare.rows import INPUT
+    from gcnd.compare.rows import INPUT, printable
     from gcnd.compare.run import Conditions, available_threads, check_output_folder, compare
     from gcnd.formats.lock import only_writer
 
@@ -91,7 +91,7 @@ def run(
     usable, skipped = available(wanted)
     if not usable:
         raise ConfigError("no method is left to compare", hint="; ".join(skipped))
-    options = {"dataset": dataset, **asdict(conditions), **asdict(plan)}
+    options = {"dataset": printable(dataset), **asdict(conditions), **asdict(plan)}
     try:
         with tidying_up(), ExitStack() as held, show_progress(quiet=quiet) as progress:
             # A folder that is there or is written to at once is held from the start, another once all is read.

@@ -11,6 +11,7 @@ from typing import cast
 
 import numpy as np
 
+from gcnd.compare.rows import printable
 from gcnd.compare.summary import ALL
 from gcnd.data.folders import find_meshes
 from gcnd.data.generated import load_generated
@@ -169,7 +170,7 @@ def _paired(pairs: Sequence[PairFiles]) -> list[Case]:
         def read(pair: PairFiles = pair) -> CaseMesh:
             return CaseMesh(*load_pair(pair))
 
-        cases.append(Case(pair.clean.stem, "mesh", "given", level, read))
+        cases.append(Case(printable(pair.clean.stem), "mesh", "given", level, read))
     for case, number in Counter((case.mesh, case.level) for case in cases).items():
         if number > 1:
             message = f"{number} noisy meshes are called {case[0]}, {case[1]}"
@@ -185,14 +186,14 @@ def _clean(folder: Path, plan: NoisePlan) -> list[Case]:
         mesh, _ = to_arrays(load(path))[0].welded()
         kind = "mesh" if path.parent == folder else _apart(path.parent.name)
         short = path.with_suffix("")
-        name = (short if stems[short] == 1 else path).relative_to(folder).as_posix()
+        name = printable((short if stems[short] == 1 else path).relative_to(folder).as_posix())
         cases += _noisy(name, kind, mesh.vertices, mesh.faces, plan)
     return cases
 
 
 def _apart(name: str) -> str:
     """A file's or a folder's name, in quotes where the tables have it for the mean over all."""
-    return f"'{name}'" if name == ALL else name
+    return f"'{name}'" if name == ALL else printable(name)
 
 
 def _generated(n: int, plan: NoisePlan, folder: Path) -> list[Case]:

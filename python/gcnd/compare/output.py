@@ -10,7 +10,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from gcnd.compare.rows import Row
+from gcnd.compare.rows import Row, json_bytes
 from gcnd.compare.summary import Line
 from gcnd.formats.atomic import write_atomic
 
@@ -29,7 +29,7 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
     table.writeheader()
     for row in rows:
         table.writerow({**asdict(row), "settings": json.dumps(row.settings)})
-    write_atomic(path, text.getvalue().encode())
+    write_atomic(path, text.getvalue().encode("utf-8", "backslashreplace"))
 
 
 def write_json(path: Path, about: Mapping[str, Any], rows: Sequence[Row], lines: Sequence[Line]) -> None:
@@ -46,4 +46,4 @@ def write_json(path: Path, about: Mapping[str, Any], rows: Sequence[Row], lines:
         "rows": [asdict(row) for row in rows],
         "summary": [asdict(line) for line in lines],
     }
-    write_atomic(path, json.dumps(whole, indent=1, ensure_ascii=False).encode())
+    write_atomic(path, json_bytes(whole, indent=1))

@@ -133,7 +133,8 @@ def write_report(
         best_of=_best,
     )
     title = f"gcnd compare: {about['dataset']}"
-    write_atomic(path, html_page(title, body, _STYLE.replace("RAMP", _ramp())).encode())
+    page = html_page(title, body, _STYLE.replace("RAMP", _ramp()))
+    write_atomic(path, page.encode("utf-8", "backslashreplace"))
 
 
 def _noise(noise: str, lines: Sequence[Line], own: Sequence[str]) -> dict[str, Any]:

@@ -10,10 +10,25 @@ from typing import Any
 
 from gcnd.errors import ConfigError
 
-__all__ = ["INPUT", "Row", "RowFile"]
+__all__ = ["INPUT", "Row", "RowFile", "json_bytes", "printable"]
 
 INPUT = "noisy"
 """The method of the rows that tell the errors of the input itself."""
+
+
+def printable(name: str) -> str:
+    r"""Returns a file's name as it can be written: a byte that is not UTF-8 as ``\xNN``.
+
+    Example:
+        >>> printable("b\udcff.ply")
+        'b\\xff.ply'
+    """
+    return os.fsencode(name).decode("utf-8", "backslashreplace")
+
+
+def json_bytes(value: Any, indent: int | None = None) -> bytes:
+    """Returns a value as JSON in UTF-8; of a path that is not, it is read back the same."""
+    return json.dumps(value, indent=indent, ensure_ascii=False).encode("utf-8", "backslashreplace")
 
 
 @dataclass(frozen=True)
@@ -97,7 +112,7 @@ class RowFile:
     def add(self, row: Row) -> None:
         """Appends a row, on disk when this returns."""
         with self._path.open("ab") as file:
-            file.write(json.dumps(asdict(row), ensure_ascii=False).encode() + b"\n")
+            file.write(json_bytes(asdict(row)) + b"\n")
             file.flush()
             os.fsync(file.fileno())
         self._rows[row.key] = row
