@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,9 @@ from gcnd.compare import methods as registry
 from gcnd.compare.adapters import LIBRARIES, Adapted, Library
 from gcnd.compare.methods import available, classical_labels, known_names, parse_methods
 from gcnd.compare.own import PRESET_SETTINGS, filtered
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, WeightsError
 from gcnd.filters import list_filters
+from gcnd.weights.registry import find_weights
 
 
 def labels(*texts: str) -> list[str]:
@@ -76,9 +78,9 @@ def test_every_tuned_setting_has_its_documented_default_beside_it() -> None:
 
 def test_weights_count_into_the_version(tmp_path: Path) -> None:
     path = tmp_path / "mine.safetensors"
-    path.write_bytes(b"weights")
+    shutil.copyfile(find_weights("fast"), path)
     (method,) = parse_methods([f"{path}[seed=3]"])
-    assert method.version.endswith(hashlib.sha256(b"weights").hexdigest()[:12])
+    assert method.version.endswith(hashlib.sha256(path.read_bytes()).hexdigest()[:12])
     assert method.settings == {"preset": str(path), **PRESET_SETTINGS, "seed": 3}
     assert parse_methods(["default"])[0].version != parse_methods(["fast"])[0].version
 
@@ -102,7 +104,13 @@ def test_auto_is_a_method_of_its_own_with_the_weights_of_all_candidates() -> Non
         ("guided-normal[sigma=1]", "guided-normal has no parameter 'sigma'", "sigma_r"),
         ("guided-normal[sigma_r=x]", "sigma_r is x, allowed: a number", None),
         ("default[patch=1]", "default has no setting 'patch'", "normal_iterations"),
-        ("default[seed=-1]", "seed is -1, allowed: a whole number, 0 or more", None),
+        ("default[seed=-1]", "default: seed is -1, allowed: 0 or more", None),
+        ("default[seed=x]", "default: seed is x, allowed: a whole number, 0 or more", None),
+        (f"fast[seed={2**64}]", f"fast: seed is {2**64}, allowed: below 2**64", None),
+        ("fast[vertex_iterations=10001]", "fast: vertex_iterations is 10001, allowed: 0 to 10000", None),
+        ("taubin[lambda=2]", "taubin: lambda is 2, allowed: above 0 and at most 1", None),
+        (f"taubin[iterations={2**64}]", f"taubin: iterations is {2**64}, allowed: below 2**64", None),
+        (f"trimesh:taubin[iterations={10**309}]", f"iterations is {10**309}, allowed: a whole number", None),
         ("trimesh:taubin[mu=1]", "trimesh:taubin has no setting 'mu'", "lamb, nu, iterations"),
         ("trimesh:taubin[iterations=1.5]", "iterations is 1.5, allowed: a whole number", None),
         ("pyvista:taubin[boundary_smoothing=2]", "boundary_smoothing is 2, allowed: true or false", None),
@@ -135,3 +143,16 @@ def test_a_missing_library_is_left_out_with_a_line(monkeypatch: pytest.MonkeyPat
         "skipped broken_library:b: broken_library cannot be imported: "
         "ImportError: libmissing.so: not there; install libmissing",
     ]
+
+
+@pytest.mark.parametrize("text", ["tgv[alpha1=1e16]", "l0[alpha=1e15]"])
+def test_a_method_that_diverges_where_it_is_tried_is_not_refused(text: str) -> None:
+    assert labels(f"{text},taubin") == [text, "taubin"]
+
+
+def test_weights_that_cannot_be_read_are_told_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "junk.safetensors"
+    path.write_bytes(b"no weights")
+    with pytest.raises(WeightsError, match=r"cannot read .*junk\.safetensors") as caught:
+        parse_methods([str(path)])
+    assert caught.value.hint == "the file is not a weights file, or it is cut short"

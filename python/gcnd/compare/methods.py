@@ -19,8 +19,8 @@ import gcnd
 from gcnd.auto import AUTO, CANDIDATES
 from gcnd.compare.adapters import LIBRARIES, Adapted, Library
 from gcnd.compare.own import PRESET_SETTINGS
-from gcnd.errors import ConfigError
-from gcnd.filters import apply_filter, finite, list_filters, parse_parameters
+from gcnd.errors import ConfigError, GcndError, check_count
+from gcnd.filters import Filter, finite, list_filters, parse_parameters
 
 __all__ = [
     "BEST_OF_SIGMA_R",
@@ -91,7 +91,8 @@ def parse_methods(texts: Iterable[str]) -> list[Method]:
         The methods in the order of their names.
 
     Raises:
-        ConfigError: A name or a setting is unknown, a value is not of its kind, or there is no name.
+        ConfigError: A name or a setting is unknown, a value is not of its kind or out of range, or there is no name.
+        WeightsError: A weights file cannot be read.
 
     Example:
         >>> [method.label for method in parse_methods(["l0,guided-normal[sigma_r=0.2]", "l0"])]
@@ -198,16 +199,28 @@ def _preset(name: str, settings: str | None) -> Method:
     for key, text in given.items():
         if key not in chosen:
             raise ConfigError(f"{name} has no setting {key!r}", hint=f"its settings are {', '.join(chosen)}")
-        if not text.isdecimal():
-            raise ConfigError(f"{key} is {text}, allowed: a whole number, 0 or more")
-        chosen[key] = int(text)
+        chosen[key] = _preset_value(name, key, text)
     label = _label(name, given)
     source = f"{gcnd.__version__} {_weights_hash(name)}"
     return Method(label, name, "gcnd", "gcnd.compare.own:network", {"preset": name, **chosen}, source)
 
 
+def _preset_value(name: str, key: str, text: str) -> int:
+    from gcnd.nn.cascade import MOST_ITERATIONS
+
+    try:
+        value = int(text)
+    except ValueError:
+        raise ConfigError(f"{name}: {key} is {text}, allowed: a whole number, 0 or more") from None
+    try:
+        check_count(key, value, *([MOST_ITERATIONS] if "iterations" in key else []))
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}") from error
+    return value
+
+
 def _weights_hash(name: str) -> str:
-    from gcnd.weights.registry import list_models
+    from gcnd.weights.registry import list_models, load_config_of
 
     hashes = {info.name: info.sha256 for info in list_models()}
     if name == AUTO:
@@ -217,6 +230,7 @@ def _weights_hash(name: str) -> str:
     path = Path(name)
     if not path.is_file():
         raise ConfigError(f"no such weights file: {path}", hint=_known())
+    load_config_of(name)
     return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
 
 
@@ -232,8 +246,15 @@ def _filter(name: str, settings: str | None) -> Method:
 
 def _check_ranges(name: str, parameters: Mapping[str, Any]) -> None:
     """Tells what is out of range now and not in every run: an iteration on the smallest of meshes."""
-    once = {key: min(value, 1) if "iterations" in key else value for key, value in parameters.items()}
-    apply_filter(_TETRAHEDRON, name, **once)
+    try:
+        Filter(name, **parameters)
+        once = {key: min(value, 1) if "iterations" in key else value for key, value in parameters.items()}
+        Filter(name, **once).run(_TETRAHEDRON)
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}", error.hint) from error
+    except GcndError:
+        # It diverges, or wants more memory than there is; whether it does so on a mesh is that run's row to tell.
+        return
 
 
 def _adapted(source: str, method: str, settings: str | None) -> Method:
@@ -256,7 +277,7 @@ def _value(name: str, adapted: Adapted, key: str, text: str) -> bool | int | flo
     kind = type(adapted.settings[key])
     try:
         return {"true": True, "false": False}[text.lower()] if kind is bool else finite(kind(text))
-    except (KeyError, ValueError):
+    except (KeyError, ValueError, OverflowError):
         allowed = {bool: "true or false", int: "a whole number"}.get(kind, "a number")
         raise ConfigError(f"{key} is {text}, allowed: {allowed}") from None
 

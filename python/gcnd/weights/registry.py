@@ -123,6 +123,12 @@ def load_cascade(preset: str, device: torch.device | str = "cpu") -> Cascade:
     return cascade.to(target)
 
 
+def load_config_of(preset: str) -> CascadeConfig:
+    """Reads what a preset's file says of its networks, and no tensor; arguments and errors as in ``load_cascade``."""
+    path = find_weights(preset)
+    return _cascade_config(path, load_header(path))
+
+
 def load_trainable(preset: str) -> Cascade:
     """Loads a cascade as it was trained, BatchNorm apart; arguments and errors as in ``load_cascade``."""
     path = find_weights(preset)
@@ -226,6 +232,7 @@ __all__ = [
     "find_weights",
     "list_models",
     "load_cascade",
+    "load_config_of",
     "load_header",
     "save_cascade",
     "weights_hash",
