@@ -74,6 +74,13 @@ def test_the_best_is_chosen_on_each_mesh() -> None:
     assert with_best(failed, [])[-1].error == "every member failed"
 
 
+def test_a_truth_without_area_has_no_best_and_no_failure() -> None:
+    flat = [row("g[s=1]", None), row("g[s=2]", None, error=None, seconds=2.0, e_v=1.0)]
+    best = with_best(flat, [])[-1]
+    assert (best.method, best.error, best.e_a, best.e_v) == ("g, best of 2", None, None, None)
+    assert (best.seconds, best.chosen) == (None, None)
+
+
 def test_means_by_kind_and_level() -> None:
     lines = {(x.kind, x.level, x.method): x for x in summarise(with_best(ROWS, []))}
     whole = lines[ALL, ALL, "g[s=1]"]

@@ -17,6 +17,19 @@ BEST_CLASSICAL = "best classical"
 """The best, on each mesh, of the methods of the group ``classical`` that were run."""
 
 
+_NUMBERS = (
+    "seconds",
+    "peak_mib",
+    "added_mib",
+    "e_v",
+    "displacement_mean",
+    "displacement_max",
+    "flipped",
+    "volume_change",
+)
+"""Of a row, besides E_a."""
+
+
 @dataclass(frozen=True)
 class Line:
     """Holds means of one method over the meshes of one noise, kind and level; None where no mesh has a value.
@@ -89,7 +102,9 @@ def with_best(rows: Sequence[Row], classic: Collection[str]) -> list[Row]:
 def _best(label: str, rows: Sequence[Row]) -> Row:
     good = [row for row in rows if row.e_a is not None]
     if not good:
-        return replace(rows[0], method=label, family=label, error="every member failed")
+        # A truth without area has no E_a, whatever a method did.
+        error = None if any(row.error is None for row in rows) else "every member failed"
+        return replace(rows[0], method=label, family=label, error=error, **dict.fromkeys(_NUMBERS))
     best = min(good, key=lambda row: row.e_a or 0.0)
     return replace(best, method=label, family=label, chosen=best.method)
 
