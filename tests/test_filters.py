@@ -158,6 +158,8 @@ def test_every_parameter_reaches_the_filter() -> None:
     ("method", "parameters", "message"),
     [
         ("median", {}, r"there is no filter 'median'"),
+        (["taubin"], {}, r"there is no filter \['taubin'\]"),
+        ("laplacian", {"lambda": 0.1, "lambda_": 0.2}, r"laplacian is given lambda twice, allowed: once"),
         ("l0", {"sigma_r": 0.3}, r"l0 has no parameter 'sigma_r'"),
         ("guided-normal", {"sigma_r": 0.0}, r"sigma_r is 0, allowed: a positive finite number"),
         ("guided-normal", {"radius": "2"}, r"radius is '2', allowed: a number"),

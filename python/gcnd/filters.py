@@ -225,7 +225,7 @@ def parse_parameters(method: str, texts: Mapping[str, str]) -> dict[str, bool | 
     defaults = _defaults(_find(method))
     parsed: dict[str, bool | int | float] = {}
     for given, text in texts.items():
-        name = _known(method, defaults, given)
+        name = _known(method, defaults, given, parsed)
         kind = type(defaults[name])
         try:
             if kind is bool:
@@ -245,7 +245,7 @@ def finite(value: float) -> float:
 
 
 def _find(method: str) -> Callable[..., Any]:
-    if method not in _FILTERS:
+    if not isinstance(method, str) or method not in _FILTERS:
         raise ConfigError(f"there is no filter {method!r}", hint=f"filters are {', '.join(_FILTERS)}")
     return _FILTERS[method][0]
 
@@ -257,8 +257,11 @@ def _defaults(function: Callable[..., Any]) -> dict[str, bool | int | float | No
     return {p.name: p.default for p in keywords if p.name not in ("memory", "progress")}
 
 
-def _known(method: str, defaults: Mapping[str, Any], name: str) -> str:
+def _known(method: str, defaults: Mapping[str, Any], name: str, before: Mapping[str, Any]) -> str:
+    """A parameter's own name; ``before`` has those that were given already."""
     for candidate in (name, f"{name}_"):
+        if candidate in before:
+            raise ConfigError(f"{method} is given {name.removesuffix('_')} twice, allowed: once")
         if candidate in defaults:
             return candidate
     names = ", ".join(known.removesuffix("_") for known in defaults)
@@ -268,7 +271,7 @@ def _known(method: str, defaults: Mapping[str, Any], name: str) -> str:
 def _checked(method: str, defaults: Mapping[str, Any], parameters: Mapping[str, Any]) -> dict[str, Any]:
     checked: dict[str, Any] = {}
     for given, value in parameters.items():
-        name = _known(method, defaults, given)
+        name = _known(method, defaults, given, checked)
         default = defaults[name]
         if value is None and default is None:
             continue
