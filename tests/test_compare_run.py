@@ -23,6 +23,7 @@ from compare_cases import Case, ball, case, method
 from gcnd.compare.child import Outcome, run_in_child
 from gcnd.compare.measures import measure
 from gcnd.compare.methods import Method, parse_methods
+from gcnd.compare.report import draw_pictures
 from gcnd.compare.rows import INPUT
 from gcnd.compare.run import Conditions, available_threads, check_output_folder, compare, load_result
 from gcnd.errors import ConfigError
@@ -269,6 +270,38 @@ def test_a_damaged_line_in_the_middle_is_named(out: Path) -> None:
     with pytest.raises(ConfigError, match=r"line 1 of .* is damaged") as caught:
         compare([case()], [method(given.raising)], out, ONE)
     assert caught.value.hint == "remove the line; its run is then done again"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("e_a", "x"), ("e_a", True), ("mesh", None), ("flipped", 1.5), ("faces", 0), ("settings", [])],
+)
+def test_a_row_with_a_value_of_another_kind_is_damaged(out: Path, name: str, value: Any) -> None:
+    compare([case()], [], out, ONE)
+    path = out / "rows.jsonl"
+    line = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(line) + "\n" + json.dumps({**line, name: value}) + "\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"line 2 of .* is damaged"):
+        compare([case()], [], out, ONE)
+
+
+@pytest.mark.parametrize("kind", ["text", "cut", "npy", "other arrays", "other mesh"])
+def test_a_result_that_cannot_be_read_has_no_picture(out: Path, kind: str) -> None:
+    (_, row) = rows = compare([case()], [method(given.same)], out, ONE)
+    path = out / "results" / f"{row.key}.npz"
+    if kind == "text":
+        path.write_text("no archive")
+    elif kind == "cut":
+        path.write_bytes(path.read_bytes()[:-400])
+    elif kind == "npy":
+        with path.open("wb") as file:
+            np.save(file, ball().noisy)
+    else:
+        vertices = ball().noisy[:-1]
+        np.savez(path, **{"vertices" if kind == "other mesh" else "faces": vertices})
+    assert (load_result(out, row) is None) == (kind != "other mesh")
+    ((_, pictures),) = draw_pictures([case()], rows, out, "one")
+    assert [shot.title for shot in pictures.shots] == ["noisy", "truth"]
 
 
 def test_conditions_and_folders_out_of_range_are_told(tmp_path: Path) -> None:

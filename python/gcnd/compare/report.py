@@ -78,8 +78,13 @@ def draw_pictures(
             progress(number / len(chosen), f"pictures: {title}")
         own = [row for row in rows if row.case == (case.mesh, case.noise, case.level) and row.method != INPUT]
         found = {row.method: load_result(out, row) for row in sorted(own, key=lambda row: row.e_a or 0.0)}
-        results = {label: vertices for label, vertices in found.items() if vertices is not None}
-        drawn.append((title, draw_case(case.load(), results)))
+        mesh = case.load()
+        results = {
+            label: vertices
+            for label, vertices in found.items()
+            if vertices is not None and vertices.shape == mesh.truth.shape
+        }
+        drawn.append((title, draw_case(mesh, results)))
     return drawn
 
 

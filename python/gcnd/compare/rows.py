@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin, get_type_hints
 
 from gcnd.errors import ConfigError
 
@@ -89,6 +89,29 @@ class Row:
         return self.mesh, self.noise, self.level
 
 
+_HINTS = get_type_hints(Row)
+
+
+def _read_row(values: dict[str, Any]) -> Row:
+    """A row from JSON; raises ``TypeError`` or ``ValueError`` where a value cannot be one of a row."""
+    row = Row(**{name: value for name, value in values.items() if name in _HINTS})
+    for name, hint in _HINTS.items():
+        if not _is(getattr(row, name), hint):
+            raise TypeError(name)
+    if row.error is None and row.faces < 1:
+        raise ValueError("a result has faces")
+    return row
+
+
+def _is(value: object, hint: Any) -> bool:
+    if get_origin(hint) is dict:
+        return isinstance(value, dict)
+    kinds = get_args(hint) or (hint,)
+    # JSON has whole numbers for some that are none.
+    allowed = (*kinds, int) if float in kinds else kinds
+    return isinstance(value, allowed) and not isinstance(value, bool)
+
+
 class RowFile:
     """Keeps rows in a file of JSON lines; a line that a kill cut short is dropped.
 
@@ -120,12 +143,10 @@ class RowFile:
     def _read(self) -> None:
         data = self._path.read_bytes()
         whole = data[: data.rfind(b"\n") + 1]
-        names = {one.name for one in fields(Row)}
         for number, line in enumerate(whole.splitlines(), start=1):
             try:
-                values = json.loads(line)
-                row = Row(**{name: value for name, value in values.items() if name in names})
-            except (ValueError, TypeError, AttributeError) as error:
+                row = _read_row(json.loads(line))
+            except (ValueError, TypeError, AttributeError, RecursionError) as error:
                 message = f"line {number} of {self._path} is damaged: {line[:60]!r}"
                 raise ConfigError(message, hint="remove the line; its run is then done again") from error
             self._rows[row.key] = row

@@ -138,12 +138,15 @@ def compare(
 
 
 def load_result(out: Path, row: Row) -> Vertices | None:
-    """Returns the positions (V, 3) that a row's method gave, to 32 bits; None when there are none."""
+    """Returns the positions (V, 3) that a row's method gave, to 32 bits; None when there are none that can be read."""
     path = _result_path(out, row.key)
     if row.error is not None or not path.exists():
         return None
-    with np.load(path, allow_pickle=False) as file:
-        vertices: Vertices = file["vertices"].astype(np.float64)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            vertices: Vertices = file["vertices"].astype(np.float64)
+    except Exception:  # a damaged archive raises whatever its parts do; its picture is left out
+        return None
     return vertices
 
 
