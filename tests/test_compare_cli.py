@@ -279,3 +279,59 @@ def test_names_that_are_not_utf_8_are_written_with_their_bytes(
     kept = (out / "rows.jsonl").read_bytes()
     assert main([*arguments, "--quiet"]) == 0
     assert (out / "rows.jsonl").read_bytes() == kept
+
+
+def test_meshes_that_cannot_be_read_are_rows_and_the_rest_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, out = write_meshes(tmp_path / "data", "good.ply"), tmp_path / "out"
+    (data / "quad.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
+    (data / "nan.off").write_text("OFF\n3 1 0\nnan 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    (data / "cut.ply").write_bytes((data / "good.ply").read_bytes()[:-100])
+    noise = ["--noise", "gaussian,kinect1", *QUICK, "--pictures", "one", "--quiet"]
+    arguments = ["compare", str(data), "--out", str(out), "--methods", "laplacian,taubin", *noise]
+    assert main(arguments) == 0
+    printed = capsys.readouterr()
+    told = printed.err.splitlines()
+    assert [line.partition(": ")[2].split(",")[1].strip() for line in told] == ["cut", "nan", "quad"]
+    assert all(line.startswith("failed: noisy, ") for line in told)
+    found = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    failed = {row["mesh"]: row for row in found["rows"] if row["error"] is not None}
+    assert {*failed} == {"cut", "nan", "quad"}
+    assert {(row["method"], row["faces"], row["e_a"]) for row in failed.values()} == {("noisy", 0, None)}
+    assert "not finite" in failed["nan"]["error"]
+    assert "triangulate" in failed["quad"]["error"]
+    runs = {
+        (line["method"], line["runs"], line["failed"])
+        for line in found["summary"]
+        if (line["noise"], line["kind"], line["level"]) == ("gaussian", "all", "all")
+    }
+    assert {("noisy", 4, 3), ("laplacian", 1, 0), ("taubin", 1, 0)} <= runs
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "<p>2 noisy meshes" in page
+    assert page.count("<td>quad") == 2
+    # What was repaired meanwhile is read again.
+    (data / "cut.ply").write_bytes((data / "good.ply").read_bytes())
+    assert main(arguments) == 0
+    assert "cut" not in capsys.readouterr().err
+    (data / "good.ply").unlink()
+    (data / "cut.ply").unlink()
+    assert main(arguments) == 1
+    assert "error: " in capsys.readouterr().err
+
+
+def test_a_pair_that_does_not_fit_is_a_row_beside_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mesh, data, out = ball(), tmp_path / "data", tmp_path / "out"
+    for part in ("original", "noisy"):
+        (data / part).mkdir(parents=True)
+        for name in ("a.ply", "b.ply"):
+            n = len(mesh.faces) - (part == "noisy" and name == "b.ply")
+            save((mesh.truth if part == "original" else mesh.noisy, mesh.faces[:n]), data / part / name)
+    arguments = ["compare", str(data), "--out", str(out), "--methods", "laplacian", *QUICK, "--quiet"]
+    assert main(arguments) == 0
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    assert printed.startswith("failed: noisy, b, given noisy: ")
+    assert "has 319 faces, its truth" in printed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
 
@@ -17,7 +17,7 @@ from gcnd.data.folders import find_meshes
 from gcnd.data.generated import load_generated
 from gcnd.data.noise import NOISE_KINDS, FaceArray, FloatArray, NoiseKind, add_noise
 from gcnd.data.pairs import PairFiles, Split, list_pairs, load_pair
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, MeshError
 from gcnd.mesh_io import load, to_arrays
 from gcnd.scans import SCAN_KINDS, ScanKind, simulate
 
@@ -67,7 +67,7 @@ class Case:
         kind: "cad", "smooth" or "feature"; other folders' names, or "mesh", where files have none.
         noise: Kind of noise, or of scan; "given" for pairs.
         level: Of the noise, as text: mean edge lengths, `SCAN_LEVEL`, or what a pair's file is called after its mesh.
-        load: Reads or makes the arrays; the same at each call.
+        load: Reads or makes the arrays; the same at each call. Raises ``GcndError`` where that cannot be done.
     """
 
     mesh: str
@@ -117,7 +117,8 @@ def collect_cases(
 ) -> list[Case]:
     """Finds or makes what is to be denoised.
 
-    Every mesh is read and checked here, so that a comparison does not stop at the last of them.
+    Every mesh is read and checked here, so that a comparison does not find out at its end that none can be used.
+    Of one that cannot, beside others that can, ``load`` raises what is wrong with it.
 
     Args:
         dataset: `BUILTIN`; a folder with ``noisy`` and ``original``, or with these in a folder for each half, which
@@ -132,7 +133,7 @@ def collect_cases(
 
     Raises:
         ConfigError: The folder is missing or holds no mesh, or a noisy mesh has no truth.
-        MeshError: A file cannot be read, or a noisy mesh and its truth differ in faces.
+        MeshError: No file can be read, or every noisy mesh and its truth differ in faces.
         GcndError: What generates shapes is not installed.
 
     Example:
@@ -162,9 +163,12 @@ def _holds_pairs(folder: Path) -> bool:
 
 
 def _paired(pairs: Sequence[PairFiles]) -> list[Case]:
-    cases = []
+    cases, failed = [], []
     for pair in pairs:
-        load_pair(pair)
+        try:
+            load_pair(pair)
+        except MeshError as error:
+            failed.append(error)
         level = _apart(pair.noisy.stem.removeprefix(pair.clean.stem).lstrip("_") or "noisy")
 
         def read(pair: PairFiles = pair) -> CaseMesh:
@@ -175,20 +179,37 @@ def _paired(pairs: Sequence[PairFiles]) -> list[Case]:
         if number > 1:
             message = f"{number} noisy meshes are called {case[0]}, {case[1]}"
             raise ConfigError(message, hint="give files that differ only after the dot other names")
+    if len(failed) == len(pairs):
+        raise failed[0]
     return cases
 
 
 def _clean(folder: Path, plan: NoisePlan) -> list[Case]:
-    cases = []
+    cases, failed = [], []
     paths = find_meshes(folder)
     stems = Counter(path.with_suffix("") for path in paths)
     for path in paths:
-        mesh, _ = to_arrays(load(path))[0].welded()
         kind = "mesh" if path.parent == folder else _apart(path.parent.name)
         short = path.with_suffix("")
         name = printable((short if stems[short] == 1 else path).relative_to(folder).as_posix())
-        cases += _noisy(name, kind, mesh.vertices, mesh.faces, plan)
+        try:
+            mesh, _ = to_arrays(load(path))[0].welded()
+        except MeshError as error:
+            failed.append(error)
+            nothing = np.empty((0, 3)), np.empty((0, 3), np.uint32)
+            cases += [replace(case, load=_raising(error)) for case in _noisy(name, kind, *nothing, plan)]
+        else:
+            cases += _noisy(name, kind, mesh.vertices, mesh.faces, plan)
+    if len(failed) == len(paths):
+        raise failed[0]
     return cases
+
+
+def _raising(error: MeshError) -> Callable[[], CaseMesh]:
+    def load() -> CaseMesh:
+        raise error
+
+    return load
 
 
 def _apart(name: str) -> str:

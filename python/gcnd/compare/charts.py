@@ -25,11 +25,13 @@ def bar_chart(lines: Sequence[Line], noise: str) -> str:
         noise: Kind of noise.
 
     Returns:
-        SVG to stand in a page.
+        SVG to stand in a page; empty when no line has an E_a.
     """
     from matplotlib.figure import Figure
 
     own = [line for line in lines if line.noise == noise and line.e_a is not None]
+    if not own:
+        return ""
     kinds = _names(line.kind for line in own)
     # The only kind says the same as all of them.
     kinds = [kind for kind in kinds if kind != ALL] if len(kinds) == 2 else kinds

@@ -70,7 +70,8 @@ def draw_pictures(
     Returns:
         A title and the pictures of each.
     """
-    chosen = _chosen(cases, which)
+    unreadable = {row.case for row in rows if row.method == INPUT and row.error is not None}
+    chosen = _chosen([c for c in cases if (c.mesh, c.noise, c.level) not in unreadable], which)
     drawn = []
     for number, case in enumerate(chosen):
         title = f"{case.mesh}, {case.noise} {case.level}"
@@ -128,11 +129,11 @@ def write_report(
     own = [method.label for method in methods if method.source == "gcnd"]
     body = environment.from_string(text).render(
         about=dict(about),
-        n_meshes=len({row.case for row in rows}),
+        n_meshes=len({row.case for row in rows if row.method != INPUT or row.error is None}),
         n_methods=len(methods),
         methods=methods,
         noises=[_noise(noise, lines, own) for noise in dict.fromkeys(line.noise for line in lines)],
-        failures=[row for row in rows if row.error is not None and row.source != "input"],
+        failures=[row for row in rows if row.error is not None],
         pictures=[{"title": title, "drawn": drawn} for title, drawn in pictures],
         skipped=list(skipped),
         best_of=_best,

@@ -16,7 +16,7 @@ import numpy as np
 import gcnd
 from gcnd.compare.child import run_in_child
 from gcnd.compare.measures import measure
-from gcnd.compare.rows import INPUT, Row, RowFile
+from gcnd.compare.rows import INPUT, Row, RowFile, printable
 from gcnd.errors import ConfigError, GcndError
 from gcnd.formats.atomic import write_atomic_npz
 
@@ -105,7 +105,8 @@ def compare(
             rows that are finished stay.
 
     Returns:
-        A row for the input and one for each method of every case, failures among them.
+        A row for the input and one for each method of every case, failures among them. Of a case that cannot be read
+        the input's row alone, which is not kept: the next run reads it again.
 
     Raises:
         ConfigError: The file of rows is damaged.
@@ -118,9 +119,13 @@ def compare(
     rows = []
     total = len(cases) * len(methods)
     for number, case in enumerate(cases):
-        mesh = case.load()
+        try:
+            mesh = case.load()
+        except GcndError as error:
+            rows.append(_unreadable_row(case, error))
+            continue
         digest = mesh.digest
-        blank = _blank_row(case, mesh)
+        blank = _blank_row(case, len(mesh.faces))
         key = _key(digest, INPUT, gcnd.__version__, conditions)
         rows.append(_called(_input_row(kept, blank, mesh, key, conditions), case))
         for index, method in enumerate(methods):
@@ -159,14 +164,19 @@ def _key(digest: str, identity: str, version: str, conditions: Conditions) -> st
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:20]
 
 
-def _blank_row(case: Case, mesh: CaseMesh) -> Row:
+def _unreadable_row(case: Case, error: GcndError) -> Row:
+    text = " ".join(str(error).split())
+    return replace(_blank_row(case, 0), error=printable(f"{text} ({error.hint})" if error.hint else text))
+
+
+def _blank_row(case: Case, n_faces: int) -> Row:
     return Row(
         key="",
         mesh=case.mesh,
         kind=case.kind,
         noise=case.noise,
         level=case.level,
-        faces=len(mesh.faces),
+        faces=n_faces,
         method=INPUT,
         family=INPUT,
         source="input",
