@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from statistics import fmean
+from typing import Any
 
 from gcnd.compare.rows import INPUT, Row
 
@@ -104,7 +105,8 @@ def _best(label: str, rows: Sequence[Row]) -> Row:
     if not good:
         # A truth without area has no E_a, whatever a method did.
         error = None if any(row.error is None for row in rows) else "every member failed"
-        return replace(rows[0], method=label, family=label, error=error, **dict.fromkeys(_NUMBERS))
+        numbers: dict[str, Any] = dict.fromkeys(_NUMBERS)
+        return replace(rows[0], method=label, family=label, error=error, **numbers)
     best = min(good, key=lambda row: row.e_a or 0.0)
     return replace(best, method=label, family=label, chosen=best.method)
 
