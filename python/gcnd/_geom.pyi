@@ -190,6 +190,7 @@ def bilateral_normal_implicit(
     smoothness: float = 0.01,
     vertex_iterations: int = 20,
     fix_boundary: bool = True,
+    memory: int | None = None,
     progress: StepProgress | None = None,
 ) -> Points:
     """Bilateral filter on normals, all at once (Zheng et al. 2011, Eqs. 7–10), then Eq. 6."""

@@ -180,18 +180,22 @@ def test_what_filters_take_beyond_the_usual_is_told_before_the_work(
 
 
 def tangled(method: str) -> tuple[np.ndarray, np.ndarray]:
-    """No surface: what the system takes is not seen from the number of faces, but from its pattern."""
+    """No ordinary surface: what the system takes is not seen from the number of faces, but from its pattern."""
     order = np.random.default_rng(1)
     if method == "l0":  # a strip that jumps from vertex to vertex
         strip = np.concatenate([order.permutation(3000) for _ in range(3)])
         return order.normal(size=(3000, 3)), np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=1)
+    if method == "bilateral-normal-implicit":  # a fan, each of whose faces is every other's neighbour
+        rim = np.arange(500)
+        fan = np.stack([np.zeros(500, int), 1 + rim, 1 + (rim + 1) % 500], axis=1)
+        return order.normal(size=(501, 3)), fan
     faces = np.array([order.choice(60, 3, replace=False) for _ in range(2000)])
     return order.normal(size=(60, 3)), faces
 
 
 @pytest.mark.filterwarnings("ignore::gcnd.errors.MeshWarning")
-@pytest.mark.parametrize("method", ["l0", "tgv"])
-def test_a_factor_that_does_not_fit_is_not_made(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("method", ["l0", "tgv", "bilateral-normal-implicit"])
+def test_a_system_that_does_not_fit_is_not_made(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
     vertices, faces = tangled(method)
     bytes_a_face = memory.filter_bytes_a_face(method, len(faces))
     foreseen = memory.needed_bytes(len(vertices), len(faces), bytes_a_face)

@@ -41,7 +41,7 @@ impl<'a> Watch<'a> {
     }
 
     /// Allows the work so many bytes: what would take more, and knows it before, ends with [`GeomError::OutOfMemory`].
-    /// Factors of linear systems do; `None` allows any.
+    /// Linear systems do; `None` allows any.
     pub fn allow_memory(&mut self, bytes: Option<u64>) {
         self.memory = bytes;
     }

@@ -68,7 +68,7 @@ pub fn bilateral_normal<'py>(
 
 #[pyfunction]
 #[pyo3(signature = (topology, vertices, *, sigma_r=0.35, sigma_s=None, smoothness=0.01,
-                    vertex_iterations=20, fix_boundary=true, progress=None))]
+                    vertex_iterations=20, fix_boundary=true, memory=None, progress=None))]
 #[allow(clippy::too_many_arguments, reason = "keyword arguments of the Python signature")]
 pub fn bilateral_normal_implicit<'py>(
     py: Python<'py>,
@@ -79,10 +79,11 @@ pub fn bilateral_normal_implicit<'py>(
     smoothness: f64,
     vertex_iterations: usize,
     fix_boundary: bool,
+    memory: Option<u64>,
     progress: Option<Py<PyAny>>,
 ) -> Positions<'py> {
     let params = ImplicitNormalParams { sigma_r, sigma_s, smoothness, vertex_iterations, fix_boundary };
-    run(py, normals::bilateral_normal_implicit, topology, &vertices, &params, progress)
+    run_within(py, normals::bilateral_normal_implicit, topology, &vertices, &params, progress, memory)
 }
 
 #[pyfunction]

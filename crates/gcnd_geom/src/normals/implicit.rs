@@ -64,12 +64,13 @@ impl ImplicitNormalParams {
 ///
 /// Returns (V) new positions, in mesh units. A face without area takes its neighbours' mean and has no say in theirs.
 ///
-/// Memory: about 300 bytes a face and 12 for each of its neighbours, about 150 more; the system is solved by conjugate
-/// gradients, to 10⁻¹⁰ of the right-hand side.
+/// Memory: about 300 bytes a face and 12 for each of its neighbours, about 150 more, but 12 · n² around a hub of n faces, of
+/// which each is every other's neighbour; the system is solved by conjugate gradients, to 10⁻¹⁰ of the right-hand side.
 ///
 /// # Errors
 /// [`crate::GeomError::InvalidParameter`], [`crate::GeomError::LengthMismatch`], [`crate::GeomError::NonFiniteVertex`],
-/// [`crate::GeomError::Diverged`], also when the system cannot be solved to that precision, or [`crate::GeomError::Cancelled`].
+/// [`crate::GeomError::Diverged`], also when the system cannot be solved to that precision, [`crate::GeomError::OutOfMemory`]
+/// where the neighbours do not fit into what [`Watch::allow_memory`] says, or [`crate::GeomError::Cancelled`].
 ///
 /// Source: Zheng et al. 2011, Eqs. 7–10, with equal weights for all faces as in the program of Zhang et al. 2015.
 ///
@@ -98,7 +99,9 @@ pub fn bilateral_normal_implicit(
         Some(sigma_s) => sigma_s * run.scale,
         None => geometry.mean_centroid_distance(topology)?,
     };
-    let energy = Energy::new(topology, &geometry, sigma_s, params.sigma_r, params.smoothness);
+    run.claim(most_pairs(topology) * PAIR_BYTES)?;
+    let sigmas = (sigma_s, params.sigma_r);
+    let energy = Energy::new(topology, &geometry, sigmas, params.smoothness, || run.ask())?;
     let mut solved = [const { Vec::new() }; 3];
     for (axis, solution) in solved.iter_mut().enumerate() {
         let given: Vec<f64> = geometry.normals.iter().map(|n| n[axis]).collect();
@@ -114,6 +117,19 @@ pub fn bilateral_normal_implicit(
         .collect();
     drop(energy);
     move_to_normals(topology, run, positions, &normals, params.vertex_iterations, params.fix_boundary)
+}
+
+/// A neighbour of a face, as [`Energy`] keeps it: its id and its weight.
+const PAIR_BYTES: u64 = (size_of::<u32>() + size_of::<f64>()) as u64;
+/// So many neighbours are looked up without a word.
+const SILENT_PAIRS: usize = 1 << 22;
+
+/// How many neighbours all faces have together, at most: around a vertex each face is every other's.
+fn most_pairs(topology: &Topology) -> u64 {
+    (0..topology.n_vertices())
+        .map(|vertex_id| topology.vertex_faces().row(vertex_id).len() as u64)
+        .map(|n| n * n.saturating_sub(1))
+        .sum()
 }
 
 /// The energy's operator (1 − λ) LᵀL + λ I, with L = I − W.
@@ -139,10 +155,10 @@ impl Energy {
     fn new(
         topology: &Topology,
         geometry: &FaceGeometry,
-        sigma_s: f64,
-        sigma_r: f64,
+        (sigma_s, sigma_r): (f64, f64),
         smoothness: f64,
-    ) -> Self {
+        mut ask: impl FnMut() -> Result<()>,
+    ) -> Result<Self> {
         let FaceGeometry { normals, centroids, areas } = geometry;
         let spatial = if sigma_s > 0.0 { (-0.5 / (sigma_s * sigma_s)).max(f64::MIN) } else { 0.0 };
         // Finite, so that equal normals weigh 1 however small σ_r is.
@@ -153,19 +169,18 @@ impl Energy {
             let across = if is_known { range * normals[i].distance_squared(normals[j]) } else { 0.0 };
             (spatial * centroids[i].distance_squared(centroids[j]) + across).exp()
         };
-        let (mut starts, mut neighbors) = (vec![0], Vec::new());
-        let mut scratch = RingScratch::new();
-        for face_id in 0..topology.n_faces() {
-            neighbors.extend_from_slice(topology.vertex_neighbors(face_id, &mut scratch));
-            starts.push(neighbors.len());
-        }
+        let (starts, neighbors) = vertex_neighbors(topology, &mut ask)?;
         let row = |i: usize| starts[i]..starts[i + 1];
         let rows = (0..areas.len()).into_par_iter().with_min_len(CHUNK);
-        let kernels: Vec<f64> = rows
-            .clone()
-            .flat_map_iter(|i| neighbors[row(i)].iter().map(move |&j| (i, j as usize)))
-            .map(|(i, j)| kernel(i, j))
-            .collect();
+        let mut kernels = vec![0.0; neighbors.len()];
+        let mut rest = kernels.as_mut_slice();
+        let slots: Vec<&mut [f64]> =
+            (0..areas.len()).filter_map(|i| rest.split_off_mut(..row(i).len())).collect();
+        slots.into_par_iter().with_min_len(CHUNK).enumerate().for_each(|(i, slots)| {
+            for (slot, &j) in slots.iter_mut().zip(&neighbors[row(i)]) {
+                *slot = kernel(i, j as usize);
+            }
+        });
         let per_sum = rows
             .map(|i| {
                 let sum: f64 = row(i).map(|slot| areas[neighbors[slot] as usize] * kernels[slot]).sum();
@@ -174,7 +189,7 @@ impl Energy {
             })
             .collect();
         let (areas, is_stopped) = (areas.clone(), AtomicBool::new(false));
-        Self { starts, neighbors, kernels, areas, per_sum, smoothness, is_stopped }
+        Ok(Self { starts, neighbors, kernels, areas, per_sum, smoothness, is_stopped })
     }
 
     /// One coordinate of n' for one coordinate of n; `None` if that is beyond the solver. `ask` is called after each of
@@ -224,6 +239,28 @@ impl Energy {
     }
 }
 
+/// Where the neighbours of each face begin, and all of them. `ask` is called now and then, and its error ends it.
+fn vertex_neighbors(
+    topology: &Topology,
+    mut ask: impl FnMut() -> Result<()>,
+) -> Result<(Vec<usize>, Vec<u32>)> {
+    let mut starts = vec![0];
+    // All at once: a vector that grows by itself takes up to three times what it holds.
+    let mut neighbors = Vec::with_capacity(most_pairs(topology) as usize);
+    let mut scratch = RingScratch::new();
+    let mut asked = 0;
+    for face_id in 0..topology.n_faces() {
+        neighbors.extend_from_slice(topology.vertex_neighbors(face_id, &mut scratch));
+        starts.push(neighbors.len());
+        if neighbors.len() - asked > SILENT_PAIRS {
+            asked = neighbors.len();
+            ask()?;
+        }
+    }
+    neighbors.shrink_to_fit();
+    Ok((starts, neighbors))
+}
+
 impl LinOp<f64> for Energy {
     fn apply_scratch(&self, _rhs_ncols: usize, _par: Par) -> StackReq {
         StackReq::EMPTY
@@ -264,7 +301,8 @@ mod tests {
     fn energy(mesh: &fixtures::MeshParts, smoothness: f64) -> (Energy, FaceGeometry) {
         let geometry = FaceGeometry::compute(&mesh.0, &mesh.1);
         let topology = Topology::new(mesh.1.clone(), mesh.0.len()).expect("valid");
-        (Energy::new(&topology, &geometry, 0.3, 0.5, smoothness), geometry)
+        let energy = Energy::new(&topology, &geometry, (0.3, 0.5), smoothness, || Ok(()));
+        (energy.expect("not stopped"), geometry)
     }
 
     #[test]
@@ -312,5 +350,37 @@ mod tests {
         let (x, y): (Vec<f64>, Vec<f64>) = geometry.centroids.iter().map(|c| (c.x + c.y, c.z)).unzip();
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         assert!((dot(&energy.apply_to(&x), &y) - dot(&x, &energy.apply_to(&y))).abs() < 1e-13);
+    }
+
+    /// A cone of so many faces around one vertex.
+    fn cone(n: u32) -> (Topology, Vec<DVec3>) {
+        let angle = std::f64::consts::TAU / f64::from(n);
+        let rim = (0..n).map(|i| DVec3::new((f64::from(i) * angle).cos(), (f64::from(i) * angle).sin(), 0.0));
+        let vertices: Vec<_> = std::iter::once(DVec3::Z).chain(rim).collect();
+        let faces = (0..n).map(|i| [0, 1 + i, 1 + (i + 1) % n]).collect();
+        (Topology::new(faces, vertices.len()).expect("valid"), vertices)
+    }
+
+    #[test]
+    fn neighbours_around_a_hub_are_counted_before_they_are_stored() {
+        let (topology, vertices) = cone(300);
+        // Beside the hub, each rim vertex has two faces.
+        let needed = 12 * (300 * 299 + 300 * 2);
+        let filtered = |free| {
+            let watch = &mut Watch::silent();
+            watch.allow_memory(Some(free));
+            bilateral_normal_implicit(&topology, &vertices, &ImplicitNormalParams::default(), watch)
+        };
+        assert_eq!(filtered(needed - 1), Err(GeomError::OutOfMemory { needed, free: needed - 1 }));
+        assert!(filtered(needed).is_ok());
+        let (starts, neighbors) = vertex_neighbors(&topology, || Ok(())).expect("not stopped");
+        assert_eq!((starts.len(), neighbors.len()), (301, 300 * 299));
+    }
+
+    #[test]
+    fn looking_up_many_neighbours_can_be_stopped() {
+        let (topology, _) = cone(2100);
+        let stop = GeomError::Cancelled { iteration: 0 };
+        assert_eq!(vertex_neighbors(&topology, || Err(stop.clone())), Err(stop.clone()));
     }
 }
