@@ -212,7 +212,7 @@ def test_weights_that_cannot_be_written_leave_the_old(
     def fail(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("gcnd.weights.files.save_file", fail)
+    monkeypatch.setattr("gcnd.formats.atomic.os.fsync", fail)
     with pytest.raises(OSError, match="No space left"):
         save_tensors(path, {"w": torch.zeros(3)}, {})
     assert load_tensors(path)[1] == {"old": True}
