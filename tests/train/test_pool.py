@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,12 +28,25 @@ def test_a_pool_of_other_meshes_is_refused(tmp_path: Path) -> None:
         DenoisedPool(tmp_path, FreshNoise(other), other, [], 3, 0)
 
 
-@pytest.mark.parametrize("left", [0, 100, 700])
-def test_a_damaged_mesh_is_denoised_again(tmp_path: Path, left: int) -> None:
+def cut(whole: bytes, left: int) -> bytes:
+    return whole[:left]
+
+
+def marked(whole: bytes, place: int) -> bytes:
+    """An archive whose first entry has another byte at that place of its line in the directory."""
+    at = whole.index(b"PK\x01\x02") + place
+    return whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :]
+
+
+# Byte 8 says that an entry is encrypted, byte 10 how it is compressed.
+@pytest.mark.parametrize(("damage", "place"), [(cut, 0), (cut, 100), (cut, 700), (marked, 8), (marked, 10)])
+def test_a_damaged_mesh_is_denoised_again(
+    tmp_path: Path, damage: Callable[[bytes, int], bytes], place: int
+) -> None:
     shapes = [clean(sphere())]
     made = DenoisedPool(tmp_path, FreshNoise(shapes), shapes, [], 2, 0)
     whole = (tmp_path / "0001.npz").read_bytes()
-    (tmp_path / "0001.npz").write_bytes(whole[:left])
+    (tmp_path / "0001.npz").write_bytes(damage(whole, place))
     said: list[tuple[int, int]] = []
     again = DenoisedPool(
         tmp_path, FreshNoise(shapes), shapes, [], 2, 0, progress=lambda *numbers: said.append(numbers)

@@ -18,7 +18,7 @@ from gcnd.compare.child import run_in_child
 from gcnd.compare.measures import measure
 from gcnd.compare.rows import INPUT, Row, RowFile, printable
 from gcnd.errors import ConfigError, GcndError
-from gcnd.formats.atomic import write_atomic_npz
+from gcnd.formats.atomic import read_npz, write_atomic_npz
 
 if TYPE_CHECKING:
     from gcnd.compare.adapters.base import Vertices
@@ -144,15 +144,10 @@ def compare(
 
 def load_result(out: Path, row: Row) -> Vertices | None:
     """Returns the positions (V, 3) that a row's method gave, to 32 bits; None when there are none that can be read."""
-    path = _result_path(out, row.key)
-    if row.error is not None or not path.exists():
+    stored = None if row.error is not None else read_npz(_result_path(out, row.key), "vertices")
+    if stored is None or stored["vertices"].dtype.kind != "f":
         return None
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            vertices: Vertices = file["vertices"].astype(np.float64)
-    except Exception:  # a damaged archive raises whatever its parts do; its picture is left out
-        return None
-    return vertices
+    return stored["vertices"].astype(np.float64)
 
 
 def _result_path(out: Path, key: str) -> Path:

@@ -7,11 +7,9 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-import numpy as np
-
 from gcnd.data.shapes import SHAPE_KINDS, Shape, ShapeKind, make_shape
 from gcnd.errors import ConfigError
-from gcnd.formats.atomic import DAMAGED_NPZ, write_atomic_npz
+from gcnd.formats.atomic import read_npz, write_atomic_npz
 
 SHAPES_VERSION = 4
 """Raise when `make_shape` changes what a seed gives: older files are then ignored."""
@@ -132,9 +130,8 @@ def _make(folder: Path, seed: int, kind: ShapeKind) -> Shape:
 
 def _read(path: Path) -> Shape | None:
     """Return the shape in a file, or None if the file is damaged."""
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            kind = next(k for k in SHAPE_KINDS if k == str(data["kind"]))
-            return Shape(str(data["name"]), kind, data["vertices"], data["faces"])
-    except (*DAMAGED_NPZ, StopIteration):
+    data = read_npz(path, "kind", "name", "vertices", "faces")
+    kind = None if data is None else next((k for k in SHAPE_KINDS if k == str(data["kind"])), None)
+    if data is None or kind is None:
         return None
+    return Shape(str(data["name"]), kind, data["vertices"], data["faces"])

@@ -1,4 +1,4 @@
-"""Writing a file whole or not at all."""
+"""Writing a file whole or not at all, and reading one that may not be whole."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
+from numpy.typing import NDArray
 
 from gcnd.errors import GcndError
 
-__all__ = ["DAMAGED_NPZ", "replacing", "write_atomic", "write_atomic_npz", "write_hint", "write_or_tell"]
+__all__ = ["read_npz", "replacing", "write_atomic", "write_atomic_npz", "write_hint", "write_or_tell"]
 
-DAMAGED_NPZ = (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error)
+_DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, BadZipFile, zlib.error)
 """What reading an ``.npz`` file raises that is cut short, overwritten or of something else."""
 
 _HOST = "".join(letter if letter.isalnum() else "-" for letter in socket.gethostname())[:40]
@@ -143,3 +145,25 @@ def write_atomic_npz(path: str | os.PathLike[str], **arrays: Any) -> None:
     data = io.BytesIO()
     np.savez(data, **arrays)
     write_atomic(path, data.getvalue())
+
+
+def read_npz(path: str | os.PathLike[str], *names: str) -> dict[str, NDArray[Any]] | None:
+    """Reads the arrays of an ``.npz`` file.
+
+    Args:
+        path: What to read.
+        names: Arrays that it must hold.
+
+    Returns:
+        All its arrays by name; None if there is no such file, it is damaged, or one of ``names`` is not in it.
+
+    Example:
+        >>> read_npz("no-such-file.npz") is None
+        True
+    """
+    try:
+        with open(path, "rb") as file, NpzFile(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive}
+    except _DAMAGED:
+        return None
+    return arrays if arrays.keys() >= set(names) else None

@@ -14,7 +14,7 @@ import numpy as np
 
 from gcnd.data.noise import FaceArray, FloatArray
 from gcnd.errors import ConfigError, MeshError
-from gcnd.formats.atomic import DAMAGED_NPZ, write_atomic_npz
+from gcnd.formats.atomic import read_npz, write_atomic_npz
 from gcnd.scans.fusion import Fusion
 from gcnd.scans.grid import Diagonal
 from gcnd.scans.kinect1 import Kinect1
@@ -275,11 +275,8 @@ def _made_and_stored(job: _Job, folder: Path) -> TrainingPair:
 
 def _read(folder: Path, job: _Job) -> TrainingPair | None:
     """The pair in a job's file, or None if there is none, it is damaged, or it was made of something else."""
-    try:
-        with np.load(job.path(folder), allow_pickle=False) as data:
-            if str(data["fingerprint"]) != job.fingerprint():
-                return None
-            arrays = (data[field] for field in ("clean_vertices", "noisy_vertices", "faces"))
-            return TrainingPair(str(data["name"]), job.kind, *arrays)
-    except DAMAGED_NPZ:
+    names = ("clean_vertices", "noisy_vertices", "faces")
+    stored = read_npz(job.path(folder), "fingerprint", "name", *names)
+    if stored is None or str(stored["fingerprint"]) != job.fingerprint():
         return None
+    return TrainingPair(str(stored["name"]), job.kind, *(stored[name] for name in names))

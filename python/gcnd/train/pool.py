@@ -9,7 +9,7 @@ import torch
 
 from gcnd import _geom
 from gcnd.errors import ConfigError
-from gcnd.formats.atomic import DAMAGED_NPZ, write_atomic_npz
+from gcnd.formats.atomic import read_npz, write_atomic_npz
 from gcnd.nn.cascade import VERTEX_ITERATIONS
 from gcnd.predict import predict_normals
 from gcnd.train.identity import shape_fingerprint
@@ -112,10 +112,8 @@ class DenoisedPool:
 
 def _load(path: Path, prints: list[str]) -> _Member | None:
     """The mesh in a file, or None if there is none or it is damaged."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            stored = {name: file[name] for name in file}
-    except DAMAGED_NPZ:
+    stored = read_npz(path)
+    if stored is None:
         return None
     # An earlier version kept no positions from before the first stage.
     index = (

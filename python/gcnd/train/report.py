@@ -12,7 +12,7 @@ import numpy as np
 
 from gcnd import _geom
 from gcnd.errors import ConfigError, GcndError
-from gcnd.formats.atomic import DAMAGED_NPZ, write_or_tell
+from gcnd.formats.atomic import read_npz, write_or_tell
 from gcnd.mesh_io import check_output_path
 from gcnd.page import data_uri, html_page, inline_svg
 from gcnd.picture import Panel, save_panels
@@ -123,14 +123,13 @@ def _curves(lines: list[dict[str, Any]]) -> str:
 
 
 def _example(path: Path) -> str:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            name, faces = str(file["name"]), file["faces"]
-            meshes = {label: file[key] for label, key in _EXAMPLE_KEYS.items()}
-    except DAMAGED_NPZ as error:
+    stored = read_npz(path, "name", "faces", *_EXAMPLE_KEYS.values())
+    if stored is None:
         raise ConfigError(
-            f"{path} is damaged: {error}", hint="delete it; gcnd train writes it again at the end of the run"
-        ) from error
+            f"{path} is damaged", hint="delete it; gcnd train writes it again at the end of the run"
+        )
+    name, faces = str(stored["name"]), stored["faces"]
+    meshes = {label: stored[key] for label, key in _EXAMPLE_KEYS.items()}
     truth = _geom.face_geometry(meshes["truth"], faces)[0]
     panels = []
     for label, vertices in meshes.items():
