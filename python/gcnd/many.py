@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
+from gcnd.data.folders import mesh_files, real_path
 from gcnd.errors import Cancelled, ConfigError, GcndError, check_progress
 from gcnd.formats.atomic import write_hint
 from gcnd.mesh_io import SUPPORTED, check_output_path
@@ -134,36 +135,26 @@ def denoise_many(
         from gcnd.denoiser import Denoiser
 
         denoiser = Denoiser()
-    is_left = [overwrite or not is_done(job.mesh, job.output) for job in jobs]
-    if ray:
-        return _on_ray(jobs, is_left, denoiser, wanted, progress, tell)
-    return _one_by_one(jobs, is_left, denoiser, wanted, progress, tell)
-
-
-def _on_ray(
-    jobs: Sequence[Job],
-    is_left: Sequence[bool],
-    denoiser: Method,
-    wanted: Wanted,
-    progress: Progress | None,
-    tell: Tell,
-) -> list[Outcome]:
+    skipped = [
+        Outcome(job.name, "skipped", output=job.output)
+        if not overwrite and is_done(job.mesh, job.output)
+        else None
+        for job in jobs
+    ]
+    if not ray:
+        return _one_by_one(jobs, skipped, denoiser, wanted, progress, tell)
     from gcnd.cluster import run_on_ray
 
-    skipped = [
-        None if left else Outcome(job.name, "skipped", output=job.output)
-        for job, left in zip(jobs, is_left, strict=True)
-    ]
     for outcome in filter(None, skipped):
         tell(outcome)
-    left = [job for job, left in zip(jobs, is_left, strict=True) if left]
+    left = [job for job, outcome in zip(jobs, skipped, strict=True) if outcome is None]
     done = iter(run_on_ray(left, denoiser, wanted, progress, tell))
     return [outcome or next(done) for outcome in skipped]
 
 
 def _one_by_one(
     jobs: Sequence[Job],
-    is_left: Sequence[bool],
+    skipped: Sequence[Outcome | None],
     denoiser: Method,
     wanted: Wanted,
     progress: Progress | None,
@@ -179,35 +170,12 @@ def _one_by_one(
                 return None
             return progress((past + fraction * job.weight) / whole, label)
 
-        if is_left[number]:
-            outcomes.append(run_job(job, denoiser, wanted, told))
-        else:
-            outcomes.append(Outcome(job.name, "skipped", output=job.output))
+        outcomes.append(skipped[number] or run_job(job, denoiser, wanted, told))
         tell(outcomes[-1])
         past += job.weight
     if progress is not None:
         progress(1.0, "done")
     return outcomes
-
-
-def mesh_files(folder: Path, without: Path | None = None) -> list[Path]:
-    """Lists the mesh files below a folder, sorted; hidden ones, and those below ``without``, are left out."""
-    found = []
-    results = None if without is None else _real(without)
-    if results is not None and _real(folder).is_relative_to(results):
-        results = None  # the results go above: that leaves nothing out
-    for path in sorted(folder.rglob("*")):
-        is_hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        if is_hidden or path.suffix.lower() not in SUPPORTED or not path.is_file():
-            continue
-        if results is None or not _real(path).is_relative_to(results):
-            found.append(path)
-    return found
-
-
-def _real(path: Path) -> Path:
-    # Path.resolve fails at links that lead to themselves.
-    return Path(os.path.realpath(path))
 
 
 def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[Job]:
@@ -217,7 +185,7 @@ def _jobs(meshes: Folder | Iterable[Any], output: Path | None) -> list[Job]:
             raise ConfigError("a folder of meshes needs a folder for the results", "pass output")
         if not folder.is_dir():
             raise ConfigError(f"no such folder: {folder}", "for one mesh, use denoise")
-        if _real(folder) == _real(output):
+        if real_path(folder) == real_path(output):
             raise ConfigError(
                 f"{output} is the input itself", "choose another folder; the input is never changed"
             )

@@ -127,7 +127,7 @@ def run(
 
 def _check_no_mesh_is_replaced(out: Path, dataset: Path) -> None:
     """Checks that what a comparison writes under one name leads to no mesh, as a link would."""
-    from gcnd.many import mesh_files
+    from gcnd.data.folders import mesh_files
     from gcnd.mesh_io import check_output_path
 
     there = [path for path in (out / name for name in _WRITTEN) if os.path.lexists(path)]

@@ -92,7 +92,7 @@ def run_folder(
 
 def _results(input_folder: Path, output_folder: Path) -> dict[Path, Path]:
     """Where the result of each mesh of the folder goes."""
-    from gcnd.many import mesh_files
+    from gcnd.data.folders import mesh_files
 
     if output_folder.exists() and not output_folder.is_dir():
         raise MeshError(

@@ -12,7 +12,6 @@ from gcnd.errors import ConfigError
 from gcnd.formats.atomic import read_npz, write_atomic_npz
 from gcnd.nn.cascade import VERTEX_ITERATIONS
 from gcnd.predict import predict_normals
-from gcnd.train.identity import shape_fingerprint
 from gcnd.train.samples import NoisyMesh
 
 if TYPE_CHECKING:
@@ -84,7 +83,7 @@ class DenoisedPool:
         self.shapes = shapes
         self.members: list[_Member] = []
         by_identity = {id(shape): index for index, shape in enumerate(shapes)}
-        prints = [shape_fingerprint(shape) for shape in shapes]
+        prints = [shape.fingerprint for shape in shapes]
         for number in range(size):
             path = folder / f"{number:04d}.npz"
             member = _load(path, prints)

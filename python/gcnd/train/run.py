@@ -88,7 +88,7 @@ class TrainingRun:
         self.start = None if start_from is None else load_trainable(start_from)
         self.validation: float | None = None
         if self.is_first:
-            check_same_run(folder, recipe, corpus, self.start)
+            check_same_run(folder, recipe, corpus, start_from)
 
     def run(self) -> Path:
         """Trains every stage that is not done and returns the path of the cascade's weights."""

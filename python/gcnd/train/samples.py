@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -91,6 +93,12 @@ class CleanShape:
         is_feature = np.isin(_geom.classify_faces(self.topology, self.vertices), FEATURE_CLASSES)
         self.feature_faces = np.flatnonzero(is_feature).astype(np.uint32)
         self.flat_faces = np.flatnonzero(~is_feature).astype(np.uint32)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Tells it from any other: a hash of its vertices and faces."""
+        arrays = (self.vertices, self.faces)
+        return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
 
 
 def draw_noise(rng: np.random.Generator) -> NoiseDraw:
