@@ -44,9 +44,9 @@ NODES_A_STEP = 256 * 64
 COLUMNS = ("cad", "smooth", "feature", *(f"noise {level}" for level in LEVELS), "all")
 
 
-def normal_noise(rng: np.random.Generator) -> NoiseDraw:
+def normal_noise(rng: np.random.Generator) -> tuple[NoiseDraw, ...]:
     """Gaussian noise along the normals alone, at the levels of ``draw_noise``."""
-    return replace(draw_noise(rng), kind="gaussian")
+    return tuple(replace(noise, kind="gaussian") for noise in draw_noise(rng))
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from train_cases import STAGE, clean, cube, sphere
 from gcnd import _geom
 from gcnd.errors import ConfigError
 from gcnd.nn.networks import build_network
-from gcnd.train.pool import _STREAM, DenoisedPool
-from gcnd.train.samples import CleanShape, FreshNoise
+from gcnd.train.pool import _STREAM, DenoisedPool, run_stages
+from gcnd.train.samples import CleanShape, FreshNoise, NoisyMesh
 
 
 def test_a_pool_of_other_meshes_is_refused(tmp_path: Path) -> None:
@@ -99,3 +99,18 @@ def test_a_pool_keeps_what_its_meshes_were_before(tmp_path: Path) -> None:
     for original in originals:
         first = drawn[float(original.roughness[2])].first
         np.testing.assert_array_equal(first, original.vertices.astype(np.float32))
+
+
+def test_every_third_mesh_of_a_pool_has_a_further_pass(tmp_path: Path) -> None:
+    shapes = [clean(sphere())]
+    torch.manual_seed(6)
+    first, further = build_network(STAGE.network).eval(), build_network(STAGE.network).eval()
+    torch.nn.init.normal_(further.out.weight, std=0.1)
+    noise = FreshNoise(shapes)
+    once = DenoisedPool(tmp_path / "once", noise, shapes, [(STAGE, first)], 6, 0)
+    pool = DenoisedPool(tmp_path / "more", noise, shapes, [(STAGE, first)], 6, 0, further=[(STAGE, further)])
+    same = [np.array_equal(a.vertices, b.vertices) for a, b in zip(once.members, pool.members, strict=True)]
+    assert same == [True, True, False, True, True, False]
+    mesh = NoisyMesh.untouched(shapes[0], noise.draw(np.random.default_rng([0, _STREAM, 5])).vertices)
+    twice = run_stages(mesh, [(STAGE, first), (STAGE, further)], 5)
+    np.testing.assert_array_equal(pool.members[5].vertices, twice.vertices.astype(np.float32))

@@ -170,6 +170,26 @@ def test_a_run_starts_from_given_weights_stage_by_stage(straight: Path, tmp_path
         assert all(torch.equal(found[key], given[key]) for key in weights)
 
 
+def test_a_stage_that_runs_twice_learns_from_its_own_first_pass(straight: Path, tmp_path: Path) -> None:
+    """Where the weights to start from have it: every third mesh of its pool has had a pass of theirs."""
+    given = tmp_path / "given.safetensors"
+    tensors, header = load_tensors(straight / "tiny.safetensors")
+    # What predicts the normals that there are moves no vertex.
+    tensors["stages.1.out.weight"] = torch.full_like(tensors["stages.1.out.weight"], 0.1)
+    save_tensors(given, tensors, header)
+    first, second = (replace(stage, lr=0.0) for stage in RECIPE.stages)
+    for name, passes in (("twice", 2), ("once", 1)):
+        stage = replace(second.stage, passes=passes)
+        recipe = replace(RECIPE, stages=(first, replace(second, stage=stage)), pool_size=3)
+        run(tmp_path / name, recipe, start_from=str(given))
+    files = [tmp_path / name / "stage2.pool" for name in ("twice", "once")]
+    same = []
+    for number in range(3):
+        ours, theirs = (np.load(folder / f"{number:04d}.npz")["vertices"] for folder in files)
+        same.append(np.array_equal(ours, theirs))
+    assert same == [True, True, False]
+
+
 def test_a_finished_stage_of_other_settings_is_refused(straight: Path, tmp_path: Path) -> None:
     (tmp_path / "stage1.safetensors").write_bytes((straight / "stage1.safetensors").read_bytes())
     longer = replace(RECIPE, stages=(replace(RECIPE.stages[0], steps=50), RECIPE.stages[1]))

@@ -245,10 +245,11 @@ def test_repeats_and_faces_without_normal_weigh_nothing(monkeypatch: pytest.Monk
 
 def test_noise_as_training_sees_it() -> None:
     rng = np.random.default_rng(0)
-    draws = [draw_noise(rng) for _ in range(4000)]
-    shares = [np.mean([d.kind == kind for d in draws]) for kind in NOISE_KINDS]
+    meshes = [draw_noise(rng) for _ in range(4000)]
+    first = [noise[0].kind for noise in meshes]
+    shares = [np.mean([kind == k for k in first]) for kind in NOISE_KINDS]
     assert np.abs(np.array(shares) - [0.6, 0.15, 0.1, 0.1, 0.05]).max() < 0.03
-    levels = np.array([d.level for d in draws])
+    levels = np.array([np.sqrt(sum(d.level**2 for d in noise)) for noise in meshes])
     assert levels.min() >= 0
     assert levels.max() <= 0.7
     assert abs(np.mean(levels == 0) - 0.03) < 0.01
@@ -256,8 +257,31 @@ def test_noise_as_training_sees_it() -> None:
     assert abs(len(faint) / len(levels) - 0.12) < 0.02
     assert abs(np.mean(faint < np.sqrt(1e-3 * 0.05)) - 0.5) < 0.08
     assert abs(np.mean(levels > 0.4) - 0.1) < 0.02
+    draws = [d for noise in meshes for d in noise]
     assert all(0.1 <= d.fraction <= 0.6 for d in draws)
-    assert len({d.seed for d in draws}) > 3990
+    assert len({d.seed for d in draws}) > len(draws) - 10
+
+
+def test_some_noise_in_training_is_of_two_kinds() -> None:
+    rng = np.random.default_rng(1)
+    meshes = [draw_noise(rng) for _ in range(4000)]
+    assert {len(noise) for noise in meshes} == {1, 2}
+    mixed = [noise for noise in meshes if len(noise) == 2]
+    assert abs(len(mixed) / len(meshes) - 0.15) < 0.02
+    assert all(a.kind != b.kind and a.seed != b.seed for a, b in mixed)
+    angles = [np.arctan2(b.level, a.level) for a, b in mixed if a.level + b.level > 0]
+    assert abs(np.mean(angles) - np.pi / 4) < 0.06
+    assert min(angles) < 0.1
+    assert max(angles) > np.pi / 2 - 0.1
+
+
+def test_mixed_noise_adds_up_on_the_clean_mesh() -> None:
+    shape = clean(sphere())
+    noises = (NoiseDraw("gaussian", 0.2, 0.0, 1), NoiseDraw("isotropic", 0.1, 0.0, 2))
+    offsets = [noisy_vertices(shape, noise) - shape.vertices for noise in noises]
+    assert all(np.abs(offset).max() > 0 for offset in offsets)
+    both = noisy_vertices(shape, *noises) - shape.vertices
+    assert np.abs(both - sum(offsets)).max() < 1e-12
 
 
 def test_shapes_are_drawn_by_kind_and_weight() -> None:

@@ -15,7 +15,7 @@ from gcnd.predict import predict_normals
 from gcnd.train.samples import NoisyMesh
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -56,6 +56,10 @@ def run_stages(
     return mesh
 
 
+MESHES_A_FURTHER_PASS = 3
+"""Of as many meshes of a pool, one has had a further pass."""
+
+
 class _Member(NamedTuple):
     shape: int
     vertices: NDArray[np.float32]
@@ -64,7 +68,22 @@ class _Member(NamedTuple):
 
 
 class DenoisedPool:
-    """A fixed number of noisy meshes, denoised by the earlier stages, kept on disk and drawn from."""
+    """A fixed number of noisy meshes, denoised by the earlier stages, kept on disk and drawn from.
+
+    Args:
+        folder: Keeps the meshes; made if missing.
+        noise: Gives noisy meshes.
+        shapes: Every clean mesh that ``noise`` draws.
+        stages: The earlier stages, one entry a pass.
+        size: How many meshes.
+        seed: Of noise and predictions.
+        device: Where the stages run.
+        precision: Of the stages' products.
+        vertex_iterations: Of Eq. 6 after every pass.
+        progress: Called with the meshes made and ``size`` after each.
+        further: Passes that every third mesh goes through after ``stages``, since a stage that runs twice sees its own
+            first pass (docs/choices.md#cascade).
+    """
 
     def __init__(
         self,
@@ -78,6 +97,7 @@ class DenoisedPool:
         precision: Precision = "float32",
         vertex_iterations: int = VERTEX_ITERATIONS,
         progress: Callable[[int, int], None] | None = None,
+        further: Sequence[tuple[StageConfig, nn.Module]] = (),
     ):
         folder.mkdir(parents=True, exist_ok=True)
         self.shapes = shapes
@@ -89,7 +109,9 @@ class DenoisedPool:
             member = _load(path, prints)
             if member is None:
                 noisy = noise.draw(np.random.default_rng([seed, _STREAM, number]))
-                denoised = run_stages(noisy, stages, seed + number, device, precision, vertex_iterations)
+                goes_on = number % MESHES_A_FURTHER_PASS == MESHES_A_FURTHER_PASS - 1
+                passes = [*stages, *further] if goes_on else stages
+                denoised = run_stages(noisy, passes, seed + number, device, precision, vertex_iterations)
                 index = by_identity[id(noisy.shape)]
                 positions = (mesh.vertices.astype(np.float32) for mesh in (denoised, noisy))
                 member = _Member(index, next(positions), denoised.roughness, next(positions))
