@@ -2,11 +2,13 @@
 
     python benches/ablations.py alignment
     python benches/ablations.py knn_k --steps 4000
+    python benches/ablations.py layers --steps 500 --report runs/layers
 
 Every variant of a group is trained from nothing on the same generated shapes and as many patch nodes, with everything
 but the one thing that the group is about as in the recipe ``default``; then it denoises validation shapes that nothing
 is trained on. A line is kept in DIR/results.json once it is measured, and weights as
-DIR/GROUP-VARIANT-STEPS-steps.safetensors, for ``gcnd denoise --preset`` and ``gcnd compare``.
+DIR/GROUP-VARIANT-STEPS-steps.safetensors, for ``gcnd denoise --preset`` and ``gcnd compare``; with ``--report`` that
+comparison is made as well, of all variants on the same noisy meshes, with its tables and its page.
 
 Paper: Sec. 7.5.
 """
@@ -15,6 +17,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -220,6 +224,7 @@ def options_of(text: str, group: Sequence[str] = ()) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=text.split("\n")[0])
     if group:
         parser.add_argument("group", choices=group)
+        parser.add_argument("--report", type=Path, help="folder for a comparison of the variants on builtin")
     parser.add_argument("--steps", type=int, default=1000, help="of 16,384 patch nodes, for each network")
     parser.add_argument("--shapes", type=Path, default=Path("runs/shapes"))
     parser.add_argument("--out", type=Path, default=Path("runs/ablations"))
@@ -228,25 +233,34 @@ def options_of(text: str, group: Sequence[str] = ()) -> argparse.Namespace:
     return options
 
 
+def weights_name(key: str) -> str:
+    """The file of a variant's weights; without commas, which part the methods of ``gcnd compare``."""
+    return key.replace(", ", "-").replace(" ", "-").replace("/", "_") + ".safetensors"
+
+
 def main() -> None:
     """Fills a group's lines in and prints them as a table."""
     options = options_of(__doc__, list(GROUPS))
 
-    def measured(key: str, variant: Variant) -> dict[str, float]:
+    def measured(key: str, path: Path, variant: Variant) -> dict[str, float]:
         cascade, speed = train(variant, options.steps, training_shapes(options.shapes), options.out)
-        # Commas part the methods of gcnd compare.
-        name_of_file = key.replace(", ", "-").replace(" ", "-").replace("/", "_")
-        path = options.out / f"{name_of_file}.safetensors"
         save_cascade(path, cascade, {"recipe": key})
         weights = sum(p.numel() for p in cascade.parameters())
         about = {"weights": weights, "patches_per_second": speed}
         return about | tested(load_cascade(str(path)), test_shapes(options.shapes))
 
     print_header(options.group)
+    weights_files = []
     for name, variant in GROUPS[options.group].items():
         # A variant that is the recipe itself is trained once for all groups.
         key = f"{'recipe' if variant == Variant() else f'{options.group} {name}'}, {options.steps} steps"
-        print_row(name, kept(options.out / "results.json", key, partial(measured, key, variant)))
+        weights_files.append(options.out / weights_name(key))
+        measure = partial(measured, key, weights_files[-1], variant)
+        print_row(name, kept(options.out / "results.json", key, measure))
+    if options.report is not None:
+        methods = ",".join(str(path) for path in weights_files)
+        command = ["compare", "builtin", "--methods", methods, "--out", str(options.report)]
+        subprocess.run([sys.executable, "-m", "gcnd", *command], check=True)
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ def seconds_to_exit(source: Path, preset: str, delay: float) -> float | None:
     command = [
         sys.executable,
         "-m",
-        "gcnd.cli",
+        "gcnd",
         "denoise",
         str(source),
         str(target),

@@ -148,7 +148,7 @@ def test_a_signal_ends_the_program_soon_and_leaves_nothing(
 ) -> None:
     source = tmp_path / "in.ply"
     save(large, source)
-    command = [sys.executable, "-m", "gcnd.cli", "denoise", str(source), str(tmp_path / "out.ply")]
+    command = [sys.executable, "-m", "gcnd", "denoise", str(source), str(tmp_path / "out.ply")]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     if moment == "normals":

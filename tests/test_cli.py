@@ -18,7 +18,7 @@ from gcnd.errors import ConfigError, GcndError
 
 def run_program(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "gcnd.cli", *arguments], capture_output=True, text=True, timeout=120, **options
+        [sys.executable, "-m", "gcnd", *arguments], capture_output=True, text=True, timeout=120, **options
     )
 
 
@@ -131,7 +131,7 @@ def test_reader_that_went_away_is_no_error(mesh_path: Path, is_unbuffered: bool)
     os.close(read_end)
     environment = {**os.environ, "PYTHONUNBUFFERED": "1" if is_unbuffered else ""}
     done = subprocess.run(
-        [sys.executable, "-m", "gcnd.cli", "info", str(mesh_path)],
+        [sys.executable, "-m", "gcnd", "info", str(mesh_path)],
         stdout=write_end,
         stderr=subprocess.PIPE,
         text=True,

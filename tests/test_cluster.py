@@ -125,7 +125,7 @@ def start_on_ray(folder: Path, out: Path, address: str) -> subprocess.Popen[str]
     command = ["denoise", str(folder), str(out), "--ray", "--method", "l0"]
     environment = {**os.environ, "RAY_ADDRESS": address, "GCND_TEST_RUN": str(out)}
     return subprocess.Popen(
-        [sys.executable, "-m", "gcnd.cli", *command], stderr=subprocess.PIPE, text=True, env=environment
+        [sys.executable, "-m", "gcnd", *command], stderr=subprocess.PIPE, text=True, env=environment
     )
 
 

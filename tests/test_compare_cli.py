@@ -58,7 +58,7 @@ def test_ctrl_c_keeps_rows_and_ends_with_130(tmp_path: Path) -> None:
     command = [
         sys.executable,
         "-m",
-        "gcnd.cli",
+        "gcnd",
         "compare",
         str(data),
         "--out",
@@ -102,7 +102,7 @@ def test_a_signal_leaves_nothing_behind_and_the_same_command_goes_on(tmp_path: P
     methods = ["--methods", "taubin,l0[mu_beta=1.001],laplacian"]
     arguments = ["compare", str(data), "--out", str(out), *methods, *QUICK]
     process = subprocess.Popen(
-        [sys.executable, "-m", "gcnd.cli", *arguments],
+        [sys.executable, "-m", "gcnd", *arguments],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

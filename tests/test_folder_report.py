@@ -110,7 +110,7 @@ def test_a_signal_leaves_the_report(folder: Path, name: str) -> None:
     out, report = folder.parent / "out", folder.parent / "report.json"
     command = ["denoise", str(folder), str(out), "--method", "bilateral-normal", "--report", str(report)]
     process = subprocess.Popen(
-        [sys.executable, "-m", "gcnd.cli", *command], stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "gcnd", *command], stderr=subprocess.PIPE, text=True
     )
     assert process.stderr is not None
     while "c01.ply" not in process.stderr.readline():
@@ -139,7 +139,7 @@ def test_a_terminal_that_is_closed_leaves_the_report(folder: Path) -> None:
     out, report = folder.parent / "out", folder.parent / "report.json"
     command = ["denoise", str(folder), str(out), "--method", "bilateral-normal", "--report", str(report)]
     code = "import os, pty, sys; pid, terminal = pty.fork()\n"
-    code += "if pid == 0: os.execv(sys.executable, [sys.executable, '-m', 'gcnd.cli', *sys.argv[1:]])\n"
+    code += "if pid == 0: os.execv(sys.executable, [sys.executable, '-m', 'gcnd', *sys.argv[1:]])\n"
     code += "seen = b''\nwhile b'c01' not in seen: seen += os.read(terminal, 1000)\n"
     code += "os.close(terminal); print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))"
     # In a process of its own: what is doubled must have no threads.

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems h
 
 def run_program(*arguments: str | Path, encoding: str = "utf-8") -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "gcnd.cli", *arguments],
+        [sys.executable, "-m", "gcnd", *arguments],
         capture_output=True,
         text=True,
         timeout=120,

@@ -68,7 +68,7 @@ def test_the_command_gives_the_same_bits_as_blenders_python(ball: Any, tmp_path:
     in_python = co(ball)
     put(ball.data, before)
     settings_of_addon().runner = "COMMAND"
-    settings_of_addon().command = str(executable(tmp_path, sys.executable, "-m", "gcnd.cli"))
+    settings_of_addon().command = str(executable(tmp_path, sys.executable, "-m", "gcnd"))
     bpy.ops.gcnd.apply()
     assert np.array_equal(co(ball), in_python)
     assert np.abs(in_python - before).max() > 0.01

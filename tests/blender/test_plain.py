@@ -119,7 +119,7 @@ def test_the_command_moves_the_mesh_and_its_folder_goes(tmp_path: Path) -> None:
 
 def test_the_real_command_gives_what_gcnd_gives() -> None:
     ball = noisy_ball()
-    run = runs.CommandRun(ball, "fast", (sys.executable, "-m", "gcnd.cli"))
+    run = runs.CommandRun(ball, "fast", (sys.executable, "-m", "gcnd"))
     run.start()
     expected = gcnd.denoise(tuple(ball), preset="fast")[0]
     assert np.array_equal(run.result(), expected)
@@ -266,7 +266,7 @@ def test_gcnd_that_cannot_be_imported(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_presets_of_the_command_and_of_python_are_the_same() -> None:
-    found = presets.from_command((sys.executable, "-m", "gcnd.cli"))
+    found = presets.from_command((sys.executable, "-m", "gcnd"))
     assert found == presets.from_python()
     assert [name for name, _ in found][:3] == [name for name, _ in presets.KNOWN]
     assert presets.parsed(presets.stored(found)) == found

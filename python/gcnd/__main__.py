@@ -1,4 +1,4 @@
-"""Runs the command line as `python -m gcnd.cli`."""
+"""Runs the command line as `python -m gcnd`."""
 
 from gcnd.cli import program
 
