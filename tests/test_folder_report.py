@@ -109,9 +109,7 @@ def test_a_signal_leaves_the_report(folder: Path, name: str) -> None:
         save((ball.vertices, ball.faces), folder / f"c{number:02}.ply")
     out, report = folder.parent / "out", folder.parent / "report.json"
     command = ["denoise", str(folder), str(out), "--method", "bilateral-normal", "--report", str(report)]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "gcnd", *command], stderr=subprocess.PIPE, text=True
-    )
+    process = subprocess.Popen([sys.executable, "-m", "gcnd", *command], stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     while "c01.ply" not in process.stderr.readline():
         assert process.poll() is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -46,6 +47,15 @@ def run(
         str | None, typer.Option(help="Preset or weights file to start from instead of from nothing.")
     ] = None,
     scale: Annotated[float, typer.Option(min=0.0, help="Factor on the recipe's optimiser steps.")] = 1.0,
+    most_stages: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="After the recipe's stages, train more like the last, up to this many in all, while each lowers the "
+            "validation error by 1 %.",
+            show_default="the recipe's",
+        ),
+    ] = 0,
     precision: Annotated[
         str | None,
         typer.Option(help="float32 or bfloat16; by default bfloat16 where the processor computes in it."),
@@ -75,6 +85,7 @@ def run(
     if pairs is not None and not pairs.is_dir():
         raise ConfigError(f"{pairs} is not a folder of pairs")
     recipe = adapted(get_recipe(preset), scale=scale, precision=precision, device=device.value)
+    recipe = replace(recipe, most_stages=most_stages)
     folder = out or Path("runs") / recipe.name
     weights = folder / f"{recipe.name}.safetensors"
     if start_from is not None and folder.is_dir():

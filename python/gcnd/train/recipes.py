@@ -47,6 +47,8 @@ class Recipe:
         n_scans: Simulated scans.
         vertex_iterations: Of Eq. 6 after every pass.
         keep_detail: Whether detail that was taken away with weak noise comes back.
+        most_stages: Where above the number of ``stages``, more like the last follow, up to so many, while each lowers
+            the error of the validation meshes (`gcnd.train.further`).
     """
 
     name: str
@@ -61,6 +63,7 @@ class Recipe:
     n_scans: int = 0
     vertex_iterations: int = VERTEX_ITERATIONS
     keep_detail: bool = False
+    most_stages: int = 0
 
 
 REFINE_WHERE_CONSISTENT = RefinementConfig(iterations=12, sigma_r=0.15, tolerance=3.0, largest_spread=0.03)

@@ -19,6 +19,7 @@ from gcnd.nn.distributed import first_process_first, process_rank
 from gcnd.nn.networks import build_network
 from gcnd.predict import fast_precision, predict_normals
 from gcnd.train.corpus import MADE_BETWEEN_LINES
+from gcnd.train.further import Verdict, mean_error, read_verdict, with_further_stages, write_verdict
 from gcnd.train.grow import fits, grown
 from gcnd.train.identity import check_same_run
 from gcnd.train.loop import StepReport, TrainConfig, Trainer, check_settings, load_state
@@ -53,7 +54,8 @@ class TrainingRun:
     """One run in one folder; of several processes the first validates, logs and saves.
 
     Holds ``log.jsonl``, ``stage<i>.pool`` with the meshes of a later stage, ``stage<i>.checkpoint.safetensors``,
-    ``stage<i>.safetensors`` when a stage is done, and at the end ``<name>.safetensors`` and ``example-<i>.npz``.
+    ``stage<i>.safetensors`` when a stage is done, ``stage<i>.json`` with what a further one gained, and at the end
+    ``<name>.safetensors`` and ``example-<i>.npz``.
 
     Args:
         folder: Made if missing; a run that is in there goes on.
@@ -93,7 +95,8 @@ class TrainingRun:
     def run(self) -> Path:
         """Trains every stage that is not done and returns the path of the cascade's weights."""
         trained: list[tuple[StageConfig, nn.Module]] = []
-        for index, config in enumerate(self.recipe.stages):
+        recipe = self.recipe
+        for index, config in enumerate(with_further_stages(recipe.stages, recipe.most_stages)):
             path = self.folder / f"stage{index + 1}.safetensors"
             if path.exists():
                 check_settings(path, load_header(path), config)
@@ -104,14 +107,49 @@ class TrainingRun:
                         save_tensors(path, state, {"config": asdict(config)})
             network: nn.Module = build_network(config.stage.network).to(self.device)
             load_state(network, load_tensors(path)[0], path)
-            trained.append((config.stage, network.eval()))
-        recipe = self.recipe
+            stage = (config.stage, network.eval())
+            if index >= len(recipe.stages) and not self._gains(index, config, trained, stage):
+                break
+            trained.append(stage)
         cascade = Cascade.assembled(trained, recipe.refinement, recipe.vertex_iterations, recipe.keep_detail)
         out = self.folder / f"{self.recipe.name}.safetensors"
         if self.is_first:
             save_cascade(out, cascade, {"recipe": self.recipe.name})
             self._save_examples(cascade)
         return out
+
+    def _gains(
+        self,
+        index: int,
+        config: TrainConfig,
+        before: list[tuple[StageConfig, nn.Module]],
+        further: tuple[StageConfig, nn.Module],
+    ) -> bool:
+        """Whether the validation meshes come out better with a further stage; measured once, ``stage<i>.json``."""
+        path = self.folder / f"stage{index + 1}.json"
+        with first_process_first():
+            if self.is_first and not path.exists():
+                without = self._denoised_validation(config, before)
+                errors = (
+                    mean_error(m) for m in (without, self._denoised_validation(config, [*before, further]))
+                )
+                write_verdict(path, Verdict(*errors))
+            verdict = read_verdict(path)
+        self._say(
+            f"stage {index + 1}: {verdict.before:.3f}° without it, {verdict.after:.3f}° with it; "
+            + ("it stays" if verdict.is_better else "it is left out, and the cascade is done")
+        )
+        return verdict.is_better
+
+    def _denoised_validation(
+        self, config: TrainConfig, stages: list[tuple[StageConfig, nn.Module]]
+    ) -> list[NoisyMesh]:
+        """The validation meshes after some stages, every pass with its vertex updates, before refinement."""
+        passes, iterations = written_out(stages), self.recipe.vertex_iterations
+        return [
+            run_stages(mesh, passes, 0, self.device, config.precision, iterations)
+            for mesh in self.corpus.validation
+        ]
 
     def _save_examples(self, cascade: Cascade) -> None:
         """Validation meshes before and after, for the report: ``example-<i>.npz``."""
@@ -130,12 +168,8 @@ class TrainingRun:
     def _train_stage(
         self, index: int, config: TrainConfig, earlier: list[tuple[StageConfig, nn.Module]]
     ) -> dict[str, torch.Tensor]:
-        before = written_out(earlier)
-        source = self._source(index, config, before)
-        starts = [
-            run_stages(mesh, before, 0, self.device, config.precision, self.recipe.vertex_iterations)
-            for mesh in (self.corpus.validation if self.is_first else [])
-        ]
+        source = self._source(index, config, written_out(earlier))
+        starts = self._denoised_validation(config, earlier) if self.is_first else []
         self.validation = None
         trainer = Trainer(config, source, self._initial_weights(index, config, earlier), self.device)
         checkpoint = self.folder / f"stage{index + 1}.checkpoint.safetensors"
