@@ -163,7 +163,7 @@ def write_report(path: Path, report: Any) -> None:
     """
     text = json.dumps(report, indent=2, ensure_ascii=False) + "\n"
     # A byte of a file's name that is no UTF-8 becomes the escape that JSON has for it.
-    write_or_tell(path, text.encode(errors="backslashreplace"))
+    write_or_tell(path, text)
 
 
 def _volumes(before: MeshArrays, after: Points) -> dict[str, float | None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import subprocess
 import sys
@@ -220,7 +219,7 @@ def _preset_value(name: str, key: str, text: str) -> int:
 
 
 def _weights_hash(name: str) -> str:
-    from gcnd.weights.registry import list_models, load_config_of
+    from gcnd.weights.registry import list_models, load_config_of, weights_hash
 
     hashes = {info.name: info.sha256 for info in list_models()}
     if name == AUTO:
@@ -231,7 +230,7 @@ def _weights_hash(name: str) -> str:
     if not path.is_file():
         raise ConfigError(f"no such weights file: {path}", hint=_known())
     load_config_of(name)
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+    return weights_hash(name)[:12]
 
 
 def _filter(name: str, settings: str | None) -> Method:

@@ -29,7 +29,7 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
     table.writeheader()
     for row in rows:
         table.writerow({**asdict(row), "settings": json.dumps(row.settings)})
-    write_atomic(path, text.getvalue().encode("utf-8", "backslashreplace"))
+    write_atomic(path, text.getvalue())
 
 
 def write_json(path: Path, about: Mapping[str, Any], rows: Sequence[Row], lines: Sequence[Line]) -> None:

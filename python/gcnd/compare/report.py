@@ -140,7 +140,7 @@ def write_report(
     )
     title = f"gcnd compare: {about['dataset']}"
     page = html_page(title, body, _STYLE.replace("RAMP", _ramp()))
-    write_atomic(path, page.encode("utf-8", "backslashreplace"))
+    write_atomic(path, page)
 
 
 def _noise(noise: str, lines: Sequence[Line], own: Sequence[str]) -> dict[str, Any]:

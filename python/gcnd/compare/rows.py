@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from gcnd.errors import ConfigError
+from gcnd.formats.atomic import encoded
 
 __all__ = ["INPUT", "Row", "RowFile", "json_bytes", "printable"]
 
@@ -28,7 +29,7 @@ def printable(name: str) -> str:
 
 def json_bytes(value: Any, indent: int | None = None) -> bytes:
     """Returns a value as JSON in UTF-8; of a path that is not, it is read back the same."""
-    return json.dumps(value, indent=indent, ensure_ascii=False).encode("utf-8", "backslashreplace")
+    return encoded(json.dumps(value, indent=indent, ensure_ascii=False))
 
 
 @dataclass(frozen=True)

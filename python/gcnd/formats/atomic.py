@@ -21,7 +21,15 @@ from numpy.typing import NDArray
 
 from gcnd.errors import GcndError
 
-__all__ = ["read_npz", "replacing", "write_atomic", "write_atomic_npz", "write_hint", "write_or_tell"]
+__all__ = [
+    "encoded",
+    "read_npz",
+    "replacing",
+    "write_atomic",
+    "write_atomic_npz",
+    "write_hint",
+    "write_or_tell",
+]
 
 _DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, BadZipFile, zlib.error)
 """What reading an ``.npz`` file raises that is cut short, overwritten or of something else."""
@@ -95,30 +103,41 @@ def _remove_abandoned(folder: Path, prefix: str) -> None:
             continue  # it runs, as somebody else
 
 
-def write_atomic(path: str | os.PathLike[str], data: bytes) -> None:
+def encoded(text: str) -> bytes:
+    r"""Returns text in UTF-8; what is none, as a byte of a file's name that is not UTF-8, is written as ``\udcNN``.
+
+    Example:
+        >>> encoded("b\udcff.ply")
+        b'b\\udcff.ply'
+    """
+    return text.encode("utf-8", "backslashreplace")
+
+
+def write_atomic(path: str | os.PathLike[str], data: bytes | str) -> None:
     """Writes `data` to `path` so that no reader ever sees part of it.
 
     The bytes go to a temporary file in the same folder, which then takes the name's place in one step; see `replacing`.
 
     Args:
         path: Where to write.
-        data: What to write.
+        data: What to write; text as `encoded` gives it.
 
     Raises:
         OSError: If the folder cannot be written to or is full.
     """
+    whole = encoded(data) if isinstance(data, str) else data
     with replacing(path) as partial, partial.open("xb") as file:
-        file.write(data)
+        file.write(whole)
         file.flush()
         os.fsync(file.fileno())
 
 
-def write_or_tell(path: str | os.PathLike[str], data: bytes) -> None:
+def write_or_tell(path: str | os.PathLike[str], data: bytes | str) -> None:
     """Writes as `write_atomic` does; a failure says which file, why and what to do.
 
     Args:
         path: Where to write.
-        data: What to write.
+        data: What to write; text as `encoded` gives it.
 
     Raises:
         GcndError: The file cannot be written.

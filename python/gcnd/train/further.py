@@ -58,7 +58,7 @@ def mean_error(meshes: Sequence[NoisyMesh]) -> float:
 
 def write_verdict(path: Path, verdict: Verdict) -> None:
     """Writes a verdict down for the other processes and for a run that goes on."""
-    write_atomic(path, json.dumps(verdict._asdict()).encode())
+    write_atomic(path, json.dumps(verdict._asdict()))
 
 
 def read_verdict(path: Path) -> Verdict:

@@ -48,7 +48,7 @@ def check_same_run(folder: Path, recipe: Recipe, corpus: Corpus, start_from: str
     }
     path = folder / _FILE
     if not path.exists():
-        write_atomic(path, json.dumps(told, indent=1).encode())
+        write_atomic(path, json.dumps(told, indent=1))
         return
     try:
         former = json.loads(path.read_text(encoding="utf-8"))

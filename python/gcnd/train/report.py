@@ -47,7 +47,7 @@ def write_report(run: Path, out: Path) -> None:
     if examples:
         parts += ["<h2>Before and after</h2>", *(_example(path) for path in examples)]
     page = html_page(run.resolve().name, "".join(parts))
-    write_or_tell(out, page.encode(errors="backslashreplace"))
+    write_or_tell(out, page)
 
 
 def read_log(run: Path) -> list[dict[str, Any]]:

@@ -87,7 +87,7 @@ def view(
     layers, figures = compare_meshes(before_mesh, after_mesh, truth_mesh, known)
     page = view_page(before_mesh, after_mesh, layers, figures, names)
     # Names of files may have bytes that are no UTF-8.
-    write_or_tell(path, page.encode(errors="backslashreplace"))
+    write_or_tell(path, page)
     return figures
 
 
