@@ -112,3 +112,51 @@ def test_wrong_numbers_are_named(tmp_path: Path) -> None:
         load_training_pairs(shapes(), -1, 0, tmp_path)
     with pytest.raises(ConfigError, match="cannot load 1 scans with 0 workers"):
         load_training_pairs(shapes(), 1, 0, tmp_path, workers=0)
+
+
+# --- scans that end anywhere ---------------------------------------------------------------------------
+
+
+def grid_pair(n: int = 60) -> TrainingPair:
+    """A flat grid of 2 n² faces, one vertex beside it that no face uses, and a noisy version."""
+    x, y = np.meshgrid(np.arange(n + 1.0), np.arange(n + 1.0))
+    clean = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+    ids = np.arange(x.size).reshape(n + 1, n + 1)
+    a, b, c, d = ids[:-1, :-1].ravel(), ids[:-1, 1:].ravel(), ids[1:, 1:].ravel(), ids[1:, :-1].ravel()
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.uint32)
+    noisy = clean + np.random.default_rng(0).normal(0, 0.1, clean.shape)
+    return TrainingPair("grid-kinect2-1", "kinect2", clean, noisy, faces)
+
+
+def test_a_cropped_scan_is_part_of_the_scan() -> None:
+    pair = grid_pair()
+    part = training.cropped(pair, 3)
+    low, high = training.CROPPED_SHARE
+    assert low * len(pair.faces) - 1 <= len(part.faces) <= high * len(pair.faces) + 1
+    assert len(part.faces) >= training.FEWEST_FACES
+    corners = {tuple(face) for face in pair.noisy_vertices[pair.faces].reshape(-1, 9).tolist()}
+    assert all(tuple(face) in corners for face in part.noisy_vertices[part.faces].reshape(-1, 9).tolist())
+    assert set(part.faces.ravel().tolist()) == set(range(len(part.clean_vertices)))
+    # Truth and scan are still of one another: on this grid they differ by the noise alone.
+    assert np.abs(part.clean_vertices - part.noisy_vertices).max() < 0.6
+    assert not np.any(part.clean_vertices[:, 2])
+
+
+def test_a_crop_is_drawn_and_round() -> None:
+    pair = grid_pair()
+    first, again, other = (training.cropped(pair, seed) for seed in (1, 1, 2))
+    assert same(first, again)
+    assert not np.array_equal(first.clean_vertices, other.clean_vertices)
+    centroids = first.clean_vertices[first.faces].mean(axis=1)
+    left_out = {tuple(c) for c in pair.clean_vertices[pair.faces].mean(axis=1).tolist()} - {
+        tuple(c) for c in centroids.tolist()
+    }
+    centre = np.argmin([np.linalg.norm(centroids - c, axis=1).max() for c in centroids])
+    farthest_in = np.linalg.norm(centroids - centroids[centre], axis=1).max()
+    nearest_out = np.linalg.norm(np.array(sorted(left_out)) - centroids[centre], axis=1).min()
+    assert farthest_in <= nearest_out + 1e-9
+
+
+def test_a_small_scan_stays_whole() -> None:
+    pair = grid_pair(30)
+    assert training.cropped(pair, 0) is pair

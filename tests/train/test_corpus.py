@@ -15,6 +15,7 @@ from gcnd.data.noise import add_noise
 from gcnd.data.shapes_blend import blended
 from gcnd.errors import ConfigError, MeshError
 from gcnd.mesh_io import save
+from gcnd.scans.training import PAIRS_VERSION
 from gcnd.train import corpus as corpus_module
 from gcnd.train.corpus import (
     FEWEST_FACES,
@@ -207,6 +208,11 @@ def test_a_run_on_scans_learns_from_scans_of_the_shapes(
     again = scanned_corpus(recipe, tmp_path, None, tmp_path / "scans", told.append)
     assert not told, "nothing is made twice"
     assert len(corpus.shapes) == 2
+    # Every second scan is cut off.
+    for number, shape in enumerate(corpus.shapes):
+        name = f"scan-v{PAIRS_VERSION}-{recipe.seed:08d}-{number:06d}.npz"
+        n_faces = len(np.load(tmp_path / "scans" / name)["faces"])
+        assert len(shape.faces) < n_faces if number else len(shape.faces) == n_faces
     kinds = [mesh.shape.name.split("-")[1] for mesh in corpus.validation]
     assert kinds == ["kinect1", "kinect2", "fusion", "print"]
     for mesh, same in zip(corpus.validation, again.validation, strict=True):

@@ -31,6 +31,9 @@ KIND_SHARES = (0.3, 0.3, 0.25, 0.15)
 FEWEST_FACES = 2000
 """A depth camera's pair of fewer faces, an object seen from its thin side, is drawn again."""
 
+CROPPED_SHARE = (0.3, 0.8)
+"""Of its faces, what `cropped` leaves of a scan."""
+
 _ATTEMPTS = 10
 _STEPS_PER_PIXEL = (8.0, 8.0, 16.0, 32.0)
 _DIAGONALS: tuple[Diagonal, ...] = ("down", "up", "shorter")
@@ -171,6 +174,37 @@ def training_pair(
         'ball-kinect2-7'
     """
     return _make(_job(meshes, seed, number, kind))
+
+
+def cropped(pair: TrainingPair, seed: int) -> TrainingPair:
+    """Cuts a scan off around one of its faces, so that it also ends where it does not turn away from the camera.
+
+    Frames end at silhouettes, and a network that has seen no other rims expects every surface to bend away there. What
+    is left are the faces nearest to a drawn one, between `CROPPED_SHARE` of them and at least `FEWEST_FACES`, by their
+    centroids in the truth.
+
+    Args:
+        pair: A scan and its truth.
+        seed: Of what is drawn, >= 0.
+
+    Returns:
+        A pair of fewer faces, and of the vertices that they use.
+
+    Choice: docs/choices.md#simulated-scans.
+    """
+    rng = np.random.default_rng(seed)
+    n_kept = max(round(len(pair.faces) * float(rng.uniform(*CROPPED_SHARE))), FEWEST_FACES)
+    if n_kept >= len(pair.faces):
+        return pair
+    centroids = pair.clean_vertices[pair.faces].mean(axis=1)
+    distances = np.linalg.norm(centroids - centroids[int(rng.integers(len(centroids)))], axis=1)
+    nearest = np.sort(np.argsort(distances, kind="stable")[:n_kept])
+    used, faces = np.unique(pair.faces[nearest], return_inverse=True)
+    return pair._replace(
+        clean_vertices=pair.clean_vertices[used],
+        noisy_vertices=pair.noisy_vertices[used],
+        faces=faces.reshape(-1, 3).astype(np.uint32),
+    )
 
 
 def load_training_pairs(

@@ -14,7 +14,7 @@ from gcnd.data.shapes_warp import bent, stretched
 from gcnd.errors import ConfigError
 from gcnd.mesh_io import load, to_arrays
 from gcnd.scans import SCAN_KINDS
-from gcnd.scans.training import TrainingPair, load_training_pairs
+from gcnd.scans.training import TrainingPair, cropped, load_training_pairs
 from gcnd.train.samples import (
     KIND_SHARES,
     CleanShape,
@@ -248,6 +248,8 @@ def scanned_corpus(
 ) -> Corpus:
     """Scans the clean meshes that `generated_corpus` would add noise to, and validates on scans of held-out shapes.
 
+    Every second scan is cut off somewhere, see `gcnd.scans.training.cropped`.
+
     Args:
         recipe: Says how many shapes and scans, and from which seed on.
         shape_folder: Keeps procedural shapes between runs.
@@ -276,7 +278,10 @@ def scanned_corpus(
     held_out = generated_shapes(N_VALIDATION, VALIDATION_SEED, shape_folder, tell)
     tell = _counted("scans", on_event)
     found = load_training_pairs(meshes, recipe.n_scans, recipe.seed, scan_folder, progress=tell)
-    pairs = [_of_scan(pair) for pair in found]
+    pairs = [
+        _of_scan(cropped(pair, recipe.seed + number) if number % 2 else pair)
+        for number, pair in enumerate(found)
+    ]
     unseen = load_training_pairs(held_out, N_VALIDATION, VALIDATION_SEED, scan_folder, kinds=SCAN_KINDS)
     return Corpus([pair.shape for pair in pairs], PairSource(pairs), [_of_scan(pair) for pair in unseen])
 
