@@ -101,6 +101,21 @@ def test_a_pool_keeps_what_its_meshes_were_before(tmp_path: Path) -> None:
         np.testing.assert_array_equal(first, original.vertices.astype(np.float32))
 
 
+def test_meshes_of_a_pool_have_further_passes_in_turn(tmp_path: Path) -> None:
+    shapes = [clean(sphere())]
+    torch.manual_seed(6)
+    network = build_network(STAGE.network).eval()
+    torch.nn.init.normal_(network.out.weight, std=0.1)
+    noise, stage = FreshNoise(shapes), (STAGE, network)
+    pool = DenoisedPool(tmp_path, noise, shapes, [], 8, 0, further=[stage] * 2)
+    for number, n_passes in enumerate((0, 0, 1, 2, 0, 0, 1, 2)):
+        mesh = NoisyMesh.untouched(
+            shapes[0], noise.draw(np.random.default_rng([0, _STREAM, number])).vertices
+        )
+        expected = run_stages(mesh, [stage] * n_passes, number).vertices.astype(np.float32)
+        np.testing.assert_array_equal(pool.members[number].vertices, expected)
+
+
 def test_every_third_mesh_of_a_pool_has_a_further_pass(tmp_path: Path) -> None:
     shapes = [clean(sphere())]
     torch.manual_seed(6)

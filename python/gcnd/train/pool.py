@@ -56,10 +56,6 @@ def run_stages(
     return mesh
 
 
-MESHES_A_FURTHER_PASS = 3
-"""Of as many meshes of a pool, one has had a further pass."""
-
-
 class _Member(NamedTuple):
     shape: int
     vertices: NDArray[np.float32]
@@ -81,8 +77,8 @@ class DenoisedPool:
         precision: Of the stages' products.
         vertex_iterations: Of Eq. 6 after every pass.
         progress: Called with the meshes made and ``size`` after each.
-        further: Passes that every third mesh goes through after ``stages``, since a stage that runs twice sees its own
-            first pass (docs/choices.md#cascade).
+        further: Passes that may follow ``stages``, since a stage that runs several times sees what its own passes made:
+            of every ``len(further) + 2`` meshes two have had none, one the first, and so on (docs/choices.md#cascade).
     """
 
     def __init__(
@@ -109,8 +105,7 @@ class DenoisedPool:
             member = _load(path, prints)
             if member is None:
                 noisy = noise.draw(np.random.default_rng([seed, _STREAM, number]))
-                goes_on = number % MESHES_A_FURTHER_PASS == MESHES_A_FURTHER_PASS - 1
-                passes = [*stages, *further] if goes_on else stages
+                passes = [*stages, *further[: max(0, number % (len(further) + 2) - 1)]]
                 denoised = run_stages(noisy, passes, seed + number, device, precision, vertex_iterations)
                 index = by_identity[id(noisy.shape)]
                 positions = (mesh.vertices.astype(np.float32) for mesh in (denoised, noisy))

@@ -218,18 +218,18 @@ class TrainingRun:
                 config.precision,
                 self.recipe.vertex_iterations,
                 self._tell_pool,
-                self._own_first_pass(index, config.stage),
+                self._own_passes(index, config.stage),
             )
 
-    def _own_first_pass(self, index: int, stage: StageConfig) -> list[tuple[StageConfig, nn.Module]]:
-        """A pass of a stage that runs more than once, by the weights that it starts from, if they are its own."""
-        if stage.passes < 2 or self.start is None or index >= len(self.start.stages):
+    def _own_passes(self, index: int, stage: StageConfig) -> list[tuple[StageConfig, nn.Module]]:
+        """All passes of a stage but the last, by the weights that it starts from, if they are its own."""
+        if self.start is None or index >= len(self.start.stages):
             return []
         network = build_network(stage.network).to(self.device)
         network.load_state_dict(
             grown(self.start.stages[index].state_dict(), self.start.config.stages[index], stage)
         )
-        return [(stage, network.eval())]
+        return [(stage, network.eval())] * (stage.passes - 1)
 
     def _tell_pool(self, made: int, total: int) -> None:
         if made % MADE_BETWEEN_LINES == 0 or made == total:
