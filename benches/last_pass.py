@@ -6,7 +6,8 @@ import numpy as np
 
 from gcnd import _geom
 from gcnd.nn.cascade import Cascade
-from gcnd.predict import Prediction, fast_precision, predict_normals
+from gcnd.passes import run_passes
+from gcnd.predict import Prediction
 
 
 def last_prediction(
@@ -17,21 +18,5 @@ def last_prediction(
     Returns:
         Positions (V, 3) before the last vertex update, and the last stage's prediction.
     """
-    passes, first = cascade.passes(), vertices
-    roughness = _geom.mesh_roughness(topology, vertices) if cascade.sees_roughness else None
-    for index, (stage, network) in enumerate(passes):
-        precision = fast_precision("cpu")
-        prediction = predict_normals(
-            topology,
-            vertices,
-            stage,
-            network,
-            seed=index,
-            roughness=roughness,
-            first=first,
-            precision=precision,
-        )
-        if index < len(passes) - 1:
-            iterations = cascade.config.vertex_iterations
-            vertices = _geom.update_vertices(topology, vertices, prediction.normals, iterations)
-    return vertices, prediction
+    *_, last = run_passes(topology, vertices, cascade)
+    return last.vertices, last.prediction

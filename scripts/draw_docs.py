@@ -18,8 +18,9 @@ from gcnd.data.noise import add_noise
 from gcnd.data.shapes import Shape, make_shape
 from gcnd.filters import apply_filter
 from gcnd.metrics import normal_angles
+from gcnd.passes import run_passes
 from gcnd.picture import Panel, save_panels, view_matrix
-from gcnd.predict import PatchArrays, make_extractor, predict_normals, refined
+from gcnd.predict import PatchArrays, make_extractor, refined
 from gcnd.scans import simulate
 from gcnd.weights import load_cascade
 
@@ -45,18 +46,15 @@ def passes() -> None:
     truth, faces, vertices = shape.vertices, shape.faces, noisy
     cascade = load_cascade("default")
     topology = _geom.Topology(faces, len(vertices))
-    roughness = _geom.mesh_roughness(topology, vertices) if cascade.sees_roughness else None
     errors = normal_angles(vertices, truth, faces)
     panels = [Panel(f"noisy: {errors.mean():.1f}°", vertices, faces, errors)]
-    steps = cascade.passes()
-    for index, (stage, network) in enumerate(steps):
-        told = {"roughness": roughness, "first": noisy}
-        found = predict_normals(topology, vertices, stage, network, seed=index, **told)
-        is_last = index == len(steps) - 1
-        normals = refined(topology, vertices, found, cascade.config.refinement) if is_last else found.normals
-        vertices = _geom.update_vertices(topology, vertices, normals, cascade.config.vertex_iterations)
+    *early, last = run_passes(topology, noisy, cascade)
+    after = [one.vertices for one in (*early[1:], last)]
+    normals = refined(topology, last.vertices, last.prediction, cascade.config.refinement)
+    after.append(_geom.update_vertices(topology, last.vertices, normals, cascade.config.vertex_iterations))
+    for number, vertices in enumerate(after, start=1):
         errors = normal_angles(vertices, truth, faces)
-        panels.append(Panel(f"after pass {index + 1}: {errors.mean():.1f}°", vertices, faces, errors))
+        panels.append(Panel(f"after pass {number}: {errors.mean():.1f}°", vertices, faces, errors))
     save_panels(OUT / "passes.png", [panels], max_value=20.0)
 
 

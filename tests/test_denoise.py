@@ -28,7 +28,7 @@ from denoise_cases import (
     noisy_sphere,
     random_cascade,
 )
-from gcnd import _geom, denoise, predict
+from gcnd import _geom, denoise, passes, predict
 from gcnd.denoise import denoise_arrays
 from gcnd.errors import ConfigError, MeshError
 from gcnd.mesh_io import save
@@ -92,6 +92,52 @@ def test_detail_comes_back_where_the_weights_say_so(keeps: bool, monkeypatch: py
     moved = denoise_arrays(VERTICES, FACES, random_cascade(replace(CONFIG, keep_detail=keeps)))
     assert len(given) == keeps
     np.testing.assert_allclose(moved, (plain + VERTICES) / 2 if keeps else plain, rtol=0, atol=1e-12)
+
+
+def labels_of(vertices: Any, faces: Any, cascade: Any) -> list[str]:
+    """What a run tells that it is doing, and that its progress never goes back."""
+    calls: list[tuple[float, str]] = []
+    denoise_arrays(vertices, faces, cascade, progress=lambda *call: calls.append(call))
+    fractions = [fraction for fraction, _ in calls]
+    assert fractions == sorted(fractions)
+    return list(dict.fromkeys(label for _, label in calls if "pass" in label))
+
+
+@pytest.mark.parametrize("n_more", [0, 1, 2])
+def test_a_flat_mesh_gets_passes_more(n_more: int) -> None:
+    part = trimesh.creation.box().subdivide().subdivide()
+    vertices, faces = np.array(part.vertices), part.faces.astype(np.uint32)
+    cascade = random_cascade(replace(CONFIG, flat_passes=n_more))
+    # The networks leave normals as they are, and so every vertex: it stays the box that it was.
+    for network in cascade.stages:
+        torch.nn.init.zeros_(network.out.weight)
+    steps = [(kind, number) for number in (1, 2, 3) for kind in ("normals", "vertices")]
+    told = labels_of(vertices, faces, cascade)
+    assert told[:4] == [f"{kind}, pass {number} of 3" for kind, number in steps[:4]]
+    n = 3 + n_more
+    rest = [f"{kind}, pass {number} of {n}" for number in range(3, n + 1) for kind in ("normals", "vertices")]
+    assert told[4:] == rest
+    # A ball has no plane.
+    bent = random_cascade(replace(CONFIG, flat_passes=n_more))
+    assert labels_of(VERTICES, FACES, bent)[-1] == "vertices, pass 3 of 3"
+
+
+def test_passes_more_come_before_the_last_with_the_coverage_of_the_early_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(passes, "is_flat", lambda *_: True)
+    seen: list[float | None] = []
+    predict = passes.predict_normals
+
+    def noted(topology: Any, vertices: Any, stage: Any, *rest: Any, **options: Any) -> Any:
+        seen.append(stage.coverage)
+        return predict(topology, vertices, stage, *rest, **options)
+
+    monkeypatch.setattr(passes, "predict_normals", noted)
+    first = replace(CONFIG.stages[0], passes=1)
+    later = replace(CONFIG.stages[0], passes=2, coverage=0.9, early_coverage=0.4)
+    denoise_arrays(VERTICES, FACES, random_cascade(replace(CONFIG, stages=(first, later), flat_passes=2)))
+    assert seen == [first.coverage, 0.4, 0.4, 0.4, 0.9]
 
 
 # --- determinism -------------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import threading
 import time
 from typing import Any
@@ -14,7 +13,7 @@ import trimesh
 from torch import Tensor, nn
 
 import gcnd.predict
-from gcnd import _geom
+from gcnd import _geom, passes
 from gcnd.denoise import denoise_arrays
 from gcnd.errors import ConfigError
 from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, RefinementConfig, StageConfig
@@ -199,7 +198,7 @@ def test_every_pass_is_told_how_rough_the_mesh_was_at_first(monkeypatch: pytest.
         return predict_normals(*arguments, roughness=roughness, **options)
 
     # `gcnd.denoise` is the function; the module has the same name.
-    monkeypatch.setattr(importlib.import_module("gcnd.denoise"), "predict_normals", remembered)
+    monkeypatch.setattr(passes, "predict_normals", remembered)
     stage = StageConfig(
         NetworkConfig(in_channels=21), PatchConfig(n_nodes=32, roughness=True), passes=3, coverage=1.0
     )

@@ -128,6 +128,9 @@ def classify_faces(
 def mesh_roughness(topology: Topology, vertices: Points) -> NDArray[np.float64]:
     """How rough the mesh is (4,), quantiles in mesh units; see the core's `mesh_roughness`."""
 
+def flat_share(topology: Topology, vertices: Points, angle: float) -> float:
+    """Share of the faces' edges across which the surface goes on in one plane, to within ``angle`` in radians."""
+
 def refine_normals(
     topology: Topology,
     vertices: Points,

@@ -6,6 +6,7 @@ last → detail back where the noise is weak → save.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
@@ -15,13 +16,12 @@ from gcnd import _geom
 from gcnd.auto import AUTO
 from gcnd.controls import Controls
 from gcnd.errors import check_progress
-from gcnd.predict import agreement, fast_precision, predict_normals, refined, settle_threads
+from gcnd.passes import run_passes
+from gcnd.predict import agreement, refined, settle_threads
 from gcnd.stages import Progress, Stages
 from gcnd.start import Start
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import torch
     from numpy.typing import ArrayLike, NDArray
 
@@ -201,47 +201,28 @@ def clean_arrays(
     settle_threads()
     if vertex_iterations is None:
         vertex_iterations = cascade.config.vertex_iterations
-    precision = precision or fast_precision(device)
     refinement = cascade.config.refinement
     if normal_iterations is not None:
         refinement = replace(refinement, iterations=normal_iterations, tolerance=None)
-    vertices = start.positions
-    passes = cascade.passes()
-    if cascade.sees_roughness and roughness is None:
-        roughness = _geom.mesh_roughness(topology, vertices)
-    for index, (stage, network) in enumerate(passes):
-        number = f"pass {index + 1} of {len(passes)}"
-        prediction = predict_normals(
-            topology,
-            vertices,
-            stage,
-            network,
-            seed=(seed + index) % 2**64,
-            roughness=roughness,
-            first=start.positions,
-            device=device,
-            precision=precision,
-            progress=_part(stages, index, len(passes), f"normals, {number}"),
-        )
-        normals = prediction.normals
-        stages((index + 1) / len(passes), f"vertices, {number}")
-        if index == len(passes) - 1:
-            normals = refined(topology, vertices, prediction, refinement, stages.ask)
-        vertices = _geom.update_vertices(
-            topology, vertices, normals, vertex_iterations, boundary, progress=stages.ask
-        )
+    passes = run_passes(
+        topology,
+        start.positions,
+        cascade,
+        roughness=roughness,
+        device=device,
+        seed=seed,
+        precision=precision,
+        vertex_iterations=vertex_iterations,
+        boundary=boundary,
+        stages=stages,
+    )
+    last = deque(passes, maxlen=1).pop()
+    normals = refined(topology, last.vertices, last.prediction, refinement, stages.ask)
+    vertices = _geom.update_vertices(
+        topology, last.vertices, normals, vertex_iterations, boundary, progress=stages.ask
+    )
     if cascade.config.keep_detail:
         vertices = _geom.keep_detail(topology, start.positions, vertices)
-    overlaps = passes[-1][0].coverage is not None
-    confidence = agreement(topology, prediction.spread) if overlaps else None
+    overlaps = last.stage.coverage is not None
+    confidence = agreement(topology, last.prediction.spread) if overlaps else None
     return Cleaned(start.way_back(vertices), confidence)
-
-
-def _part(stages: Stages, index: int, n_parts: int, label: str) -> Callable[[float], None]:
-    """Turns the fraction done of one part of a run into that of the whole."""
-
-    def report(fraction: float) -> None:
-        stages((index + fraction) / n_parts, label)
-
-    report(0.0)
-    return report

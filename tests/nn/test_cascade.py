@@ -11,18 +11,26 @@ import torch
 from nn_cases import SMALL_CENTRE, SMALL_NODES, random_patches, signed_scales
 
 from gcnd.errors import ConfigError
-from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, RefinementConfig, StageConfig
+from gcnd.nn.cascade import (
+    Cascade,
+    CascadeConfig,
+    PatchConfig,
+    RefinementConfig,
+    StageConfig,
+    written_out,
+)
 
 PAPER_PATCH = PatchConfig(patch_scale=8.0, n_nodes=256, budget="random", vertex_offsets=False)
 
 CONFIG = CascadeConfig(
     (
         StageConfig(SMALL_CENTRE, PAPER_PATCH),
-        StageConfig(SMALL_NODES, PatchConfig(voting_region="two_ring", sigma_vote=0.4), 2, 0.2),
+        StageConfig(SMALL_NODES, PatchConfig(voting_region="two_ring", sigma_vote=0.4), 2, 0.2, 0.1),
     ),
     RefinementConfig(4, 0.15, 1.5),
     vertex_iterations=9,
     keep_detail=True,
+    flat_passes=1,
 )
 
 
@@ -48,6 +56,8 @@ def test_patch_channels(offsets: bool, channels: int) -> None:
         ({"coverage": 0.0}, r"coverage is 0\.0"),
         ({"coverage": float("inf")}, "coverage is inf"),
         ({"coverage": float("nan")}, "coverage is nan"),
+        ({"early_coverage": -1.0}, r"early_coverage is -1\.0"),
+        ({"network": SMALL_CENTRE, "patch": PAPER_PATCH, "early_coverage": 0.5}, "needs coverage = None"),
         (
             {"network": SMALL_CENTRE, "patch": PAPER_PATCH, "coverage": 0.5},
             "needs coverage = None",
@@ -74,6 +84,25 @@ def test_weights_from_before_keep_no_detail() -> None:
     values["keep_detail"] = 1
     with pytest.raises(ConfigError, match="keep_detail is 1, allowed: True or False"):
         CascadeConfig.from_dict(values)
+
+
+def test_weights_from_before_have_one_coverage_and_no_passes_more() -> None:
+    values = json.loads(json.dumps(CONFIG.to_dict()))
+    del values["flat_passes"]
+    for stage in values["stages"]:
+        del stage["early_coverage"]
+    stages = tuple(replace(stage, early_coverage=None) for stage in CONFIG.stages)
+    assert CascadeConfig.from_dict(values) == replace(CONFIG, stages=stages, flat_passes=0)
+    for wrong in (-1, 101, "2"):
+        with pytest.raises(ConfigError, match="flat_passes is"):
+            CascadeConfig.from_dict(values | {"flat_passes": wrong})
+
+
+def test_early_passes_have_a_coverage_of_their_own() -> None:
+    stage = replace(CONFIG.stages[1], passes=3)
+    alike = replace(stage, early_coverage=None)
+    coverages = [config.coverage for config, _ in written_out([(stage, None), (alike, None)])]
+    assert coverages == [0.1, 0.1, 0.2, 0.2, 0.2, 0.2]
 
 
 @pytest.mark.parametrize("field", ["stages", "refinement", "vertex_iterations"])
@@ -120,7 +149,8 @@ def test_passes_write_out_what_runs_more_than_once() -> None:
     cascade = Cascade(CONFIG)
     first, second = cascade.stages
     assert [id(network) for _, network in cascade.passes()] == [id(first), id(second), id(second)]
-    assert [stage for stage, _ in cascade.passes()] == [CONFIG.stages[0], CONFIG.stages[1], CONFIG.stages[1]]
+    early = replace(CONFIG.stages[1], coverage=CONFIG.stages[1].early_coverage)
+    assert [stage for stage, _ in cascade.passes()] == [CONFIG.stages[0], early, CONFIG.stages[1]]
 
 
 def test_inference_form_answers_as_evaluation_mode_and_leaves_the_original() -> None:

@@ -31,6 +31,7 @@ pub mod error;
 pub mod face_geometry;
 #[doc(hidden)]
 pub mod fixtures;
+pub mod flatness;
 pub mod keep_detail;
 pub mod kernels;
 pub mod mesh;

@@ -32,5 +32,7 @@ mod _geom {
     #[pymodule_export]
     use super::mesh::{PyTopology, face_geometry, find_spikes, orient, validate, weld};
     #[pymodule_export]
-    use super::patches::{PyCover, PyNormalAccumulator, PyPatchExtractor, classify_faces, mesh_roughness};
+    use super::patches::{
+        PyCover, PyNormalAccumulator, PyPatchExtractor, classify_faces, flat_share, mesh_roughness,
+    };
 }

@@ -4,6 +4,7 @@ use crate::arrays::{self, Points, slice, slice_mut};
 use crate::errors::{ConfigError, IntoPython};
 use crate::mesh::PyTopology;
 use crate::watched::watched;
+use gcnd_geom::flatness;
 use gcnd_geom::patch::{
     self, Budget, Cover, NormalAccumulator, PatchBuffers, PatchExtractor, PatchParams, ROUGHNESS_QUANTILES,
     Sheets, VotingRegion,
@@ -179,6 +180,12 @@ pub fn mesh_roughness<'py>(
     let vertices = arrays::points("vertices", &vertices)?;
     let roughness = py.detach(|| patch::mesh_roughness(&topology.inner, vertices)).into_python()?;
     Ok(roughness.to_vec().into_pyarray(py))
+}
+
+#[pyfunction]
+pub fn flat_share(py: Python<'_>, topology: &PyTopology, vertices: Points<'_>, angle: f64) -> PyResult<f64> {
+    let vertices = arrays::points("vertices", &vertices)?;
+    py.detach(|| flatness::flat_share(&topology.inner, vertices, angle)).into_python()
 }
 
 #[pyclass(name = "NormalAccumulator", module = "gcnd._geom", frozen)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, TypeVar
 
 from torch import nn
@@ -25,6 +25,12 @@ _CHOICES: dict[str, tuple[str | bool, ...]] = {
 MOST_PASSES, MOST_ITERATIONS = 100, 10_000
 """What a weights file may ask for: a run must end."""
 
+
+FLAT_SHARE, FLAT_DEGREES = 0.3, 1.0
+"""A mesh is flat for a good part where across this share of its edges it goes on in one plane, to within this angle.
+
+Choice: docs/choices.md#flat-meshes.
+"""
 
 VERTEX_ITERATIONS = 15
 """Iterations of Eq. 6 after every pass, where nothing else is said."""
@@ -93,12 +99,14 @@ class StageConfig:
             together, one at its patch's centre weighing 1; ``None`` takes a patch a face, as networks that predict
             only the centre need.
             Choice: docs/choices.md#cover.
+        early_coverage: Coverage of all passes but the last; ``None`` takes that of the last.
     """
 
     network: NetworkConfig
     patch: PatchConfig = field(default_factory=PatchConfig)
     passes: int = 1
     coverage: float | None = None
+    early_coverage: float | None = None
 
     def __post_init__(self) -> None:
         if self.network.in_channels != self.patch.n_channels:
@@ -107,9 +115,11 @@ class StageConfig:
                 f"{self.patch.n_channels}"
             )
         check_whole("passes", self.passes, 1, MOST_PASSES)
-        if self.coverage is not None and not 0 < self.coverage < float("inf"):
-            raise ConfigError(f"coverage is {self.coverage}, allowed: above 0, or none for a patch a face")
-        if not self.network.predicts_nodes and self.coverage is not None:
+        for name in ("coverage", "early_coverage"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < float("inf"):
+                raise ConfigError(f"{name} is {value}, allowed: above 0, or none for a patch a face")
+        if not self.network.predicts_nodes and (self.coverage, self.early_coverage) != (None, None):
             raise ConfigError("a network that predicts only the centre needs coverage = None")
 
     def to_dict(self) -> dict[str, Any]:
@@ -124,7 +134,8 @@ class StageConfig:
                 network=NetworkConfig.from_dict(values["network"]),
                 patch=PatchConfig(**values["patch"]),
                 passes=values["passes"],
-                coverage=None if values["coverage"] is None else float(values["coverage"]),
+                coverage=_number(values["coverage"]),
+                early_coverage=_number(values.get("early_coverage")),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"stage configuration does not fit: {error}") from error
@@ -168,15 +179,19 @@ class CascadeConfig:
         refinement: Of the last stage's normals.
         vertex_iterations: Iterations of Eq. 6 after every pass.
         keep_detail: Whether detail that was taken away with weak noise comes back; see ``_geom.keep_detail``.
+        flat_passes: Passes of the last stage more on a mesh that is flat for a good part, before its last.
+            Choice: docs/choices.md#flat-meshes.
     """
 
     stages: tuple[StageConfig, ...]
     refinement: RefinementConfig = field(default_factory=RefinementConfig)
     vertex_iterations: int = VERTEX_ITERATIONS
     keep_detail: bool = False
+    flat_passes: int = 0
 
     def __post_init__(self) -> None:
         check_whole("vertex_iterations", self.vertex_iterations, 0, MOST_ITERATIONS)
+        check_whole("flat_passes", self.flat_passes, 0, MOST_PASSES)
         if not isinstance(self.keep_detail, bool):
             raise ConfigError(f"keep_detail is {self.keep_detail!r}, allowed: True or False")
 
@@ -193,14 +208,24 @@ class CascadeConfig:
                 refinement=RefinementConfig(**values["refinement"]),
                 vertex_iterations=values["vertex_iterations"],
                 keep_detail=values.get("keep_detail", False),
+                flat_passes=values.get("flat_passes", 0),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"cascade configuration does not fit: {error}") from error
 
 
 def written_out(stages: list[tuple[StageConfig, Network]]) -> list[tuple[StageConfig, Network]]:
-    """Returns one entry a pass for stages that run more than once."""
-    return [(config, network) for config, network in stages for _ in range(config.passes)]
+    """Returns one entry a pass for stages that run more than once, each with the coverage of that pass."""
+    return [
+        (config if left == 0 else _early(config), network)
+        for config, network in stages
+        for left in reversed(range(config.passes))
+    ]
+
+
+def _early(config: StageConfig) -> StageConfig:
+    """A stage as it is in all of its passes but the last."""
+    return config if config.early_coverage is None else replace(config, coverage=config.early_coverage)
 
 
 class Cascade(nn.Module):
@@ -223,10 +248,11 @@ class Cascade(nn.Module):
         refinement: RefinementConfig,
         vertex_iterations: int = VERTEX_ITERATIONS,
         keep_detail: bool = False,
+        flat_passes: int = 0,
     ) -> Cascade:
         """Makes a cascade with a copy of the weights of networks that were trained one after the other."""
         configs = tuple(config for config, _ in stages)
-        cascade = cls(CascadeConfig(configs, refinement, vertex_iterations, keep_detail))
+        cascade = cls(CascadeConfig(configs, refinement, vertex_iterations, keep_detail, flat_passes))
         for own, (_, network) in zip(cascade.stages, stages, strict=True):
             own.load_state_dict(network.state_dict())
         return cascade
@@ -240,6 +266,11 @@ class Cascade(nn.Module):
         """Returns every pass over the mesh in order, stages that repeat written out."""
         return written_out(list(zip(self.config.stages, self.stages, strict=True)))  # type: ignore[arg-type]
 
+    def flat_passes(self) -> list[tuple[StageConfig, CentreNormalNet | NodeNormalNet]]:
+        """Returns the passes more that a flat mesh gets before the last one; none of most cascades."""
+        stage, network = self.config.stages[-1], self.stages[-1]
+        return [(_early(stage), network)] * self.config.flat_passes  # type: ignore[list-item]
+
     def for_inference(self) -> Cascade:
         """Returns a copy whose networks have their BatchNorm folded in; see ``gcnd.nn.fold``."""
         from gcnd.nn.fold import folded
@@ -247,3 +278,7 @@ class Cascade(nn.Module):
         twin = Cascade(self.config)
         twin.stages = nn.ModuleList(folded(network) for network in self.stages)
         return twin.eval()
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None else float(value)

@@ -47,6 +47,7 @@ class Recipe:
         n_scans: Simulated scans.
         vertex_iterations: Of Eq. 6 after every pass.
         keep_detail: Whether detail that was taken away with weak noise comes back.
+        flat_passes: Passes of the last stage more on flat meshes; see `gcnd.nn.cascade.CascadeConfig`.
         most_stages: Where above the number of ``stages``, more like the last follow, up to so many, while each lowers
             the error of the validation meshes (`gcnd.train.further`).
     """
@@ -63,6 +64,7 @@ class Recipe:
     n_scans: int = 0
     vertex_iterations: int = VERTEX_ITERATIONS
     keep_detail: bool = False
+    flat_passes: int = 0
     most_stages: int = 0
 
 
@@ -93,25 +95,26 @@ FAST_LATER_NETWORK = replace(
 """As `FAST_NETWORK`, wider in the same places."""
 
 
-def _later(network: NetworkConfig, coverage: float) -> StageConfig:
+def _later(network: NetworkConfig, coverage: float, early_coverage: float | None = None) -> StageConfig:
     """A second stage, told the normals before the first pass, which runs twice."""
     told = replace(network, in_channels=OUR_LATER_PATCH.n_channels)
-    return StageConfig(told, OUR_LATER_PATCH, passes=2, coverage=coverage)
+    return StageConfig(told, OUR_LATER_PATCH, passes=2, coverage=coverage, early_coverage=early_coverage)
 
 
 def _default(*steps: int, later: NetworkConfig = DEFAULT_LATER_NETWORK) -> Recipe:
-    """The first stage is covered more thinly: what it misses, the second still sees."""
+    """Passes before the last are covered more thinly: what one misses, the next still sees."""
     first = StageConfig(DEFAULT_NETWORK, OUR_PATCH, coverage=1.0)
     return Recipe(
         "default",
         "patch network with a normal for every node, two stages, the second run twice",
         (
             TrainConfig(first, steps=steps[0]),
-            TrainConfig(_later(later, 2.0), steps=steps[1], lr=1e-3, seed=1),
+            TrainConfig(_later(later, 2.0, 1.0), steps=steps[1], lr=1e-3, seed=1),
         ),
         pool_size=400,
         refinement=REFINE_WHERE_CONSISTENT,
         keep_detail=True,
+        flat_passes=1,
     )
 
 
@@ -147,7 +150,8 @@ def _on_scans(recipe: Recipe, patch: dict[str, Any], **training: Any) -> Recipe:
 
     def on_scans(stage: StageConfig) -> StageConfig:
         wide = replace(stage.patch, **patch)
-        return replace(stage, patch=wide, network=replace(stage.network, in_channels=wide.n_channels))
+        network = replace(stage.network, in_channels=wide.n_channels)
+        return replace(stage, patch=wide, network=network, early_coverage=None)
 
     chunk = ChunkConfig(n_meshes=8, n_patches=1024)
     stages = tuple(
@@ -166,6 +170,7 @@ def _scan(*steps: int) -> Recipe:
         refinement=replace(REFINE_WHERE_CONSISTENT, iterations=4, sigma_r=0.2),
         vertex_iterations=SCAN_VERTEX_ITERATIONS,
         keep_detail=False,
+        flat_passes=0,
     )
 
 

@@ -111,7 +111,9 @@ class TrainingRun:
             if index >= len(recipe.stages) and not self._gains(index, config, trained, stage):
                 break
             trained.append(stage)
-        cascade = Cascade.assembled(trained, recipe.refinement, recipe.vertex_iterations, recipe.keep_detail)
+        cascade = Cascade.assembled(
+            trained, recipe.refinement, recipe.vertex_iterations, recipe.keep_detail, recipe.flat_passes
+        )
         out = self.folder / f"{self.recipe.name}.safetensors"
         if self.is_first:
             save_cascade(out, cascade, {"recipe": self.recipe.name})
