@@ -164,6 +164,18 @@ def test_bad_pairs_are_named(vertices: object, faces: object, message: str) -> N
         to_arrays((vertices, faces))
 
 
+@pytest.mark.parametrize(
+    ("vertex_id", "hint"),
+    [(1, "remove it, with the faces around it"), (3, "remove it, which no face uses")],
+)
+def test_a_vertex_that_is_not_finite_goes_alone_if_no_face_uses_it(vertex_id: int, hint: str) -> None:
+    vertices = np.eye(4, 3)
+    vertices[vertex_id, 2] = np.nan
+    with pytest.raises(MeshError, match=f"vertex {vertex_id} is not finite") as caught:
+        to_arrays((vertices, [[0, 1, 2]]))
+    assert caught.value.hint == hint
+
+
 @pytest.mark.parametrize("thing", [None, 3, {"vertices": []}, (VERTICES,), trimesh.Scene()])
 def test_other_objects_are_refused_with_a_hint(thing: object) -> None:
     with pytest.raises(MeshError, match="cannot take a mesh from") as caught:

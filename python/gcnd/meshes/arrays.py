@@ -131,8 +131,10 @@ def checked(vertices: NDArray[Any], faces: NDArray[Any]) -> MeshArrays:
     if is_bad.any():
         vertex_id = int(np.argmax(is_bad))
         position = tuple(points[vertex_id].tolist())
+        is_used = bool((faces == vertex_id).any())
         raise MeshError(
-            f"vertex {vertex_id} is not finite: {position}", "remove it, with the faces around it"
+            f"vertex {vertex_id} is not finite: {position}",
+            f"remove it, {'with the faces around it' if is_used else 'which no face uses'}",
         )
     is_far = ~(np.abs(points) <= LARGEST_COORDINATE).all(axis=1)
     if is_far.any():
