@@ -241,6 +241,16 @@ def test_limits_and_kept_vertices_go_before_the_volume() -> None:
     assert bits(nothing) == bits(VERTICES)
 
 
+@pytest.mark.parametrize(
+    "again", [FACES[:7], FACES[:7, ::-1], FACES[:, ::-1]], ids=["some", "backs", "all backs"]
+)
+def test_repeated_faces_enclose_nothing_more(again: Any) -> None:
+    faces = np.concatenate([FACES, again])
+    once = steered(Controls(preserve_volume=True), 0.9 * VERTICES)
+    assert volume(once) == pytest.approx(volume(VERTICES), rel=1e-11)
+    assert bits(steered(Controls(preserve_volume=True), 0.9 * VERTICES, (VERTICES, faces))) == bits(once)
+
+
 def test_unwelded_closed_meshes_are_closed() -> None:
     mesh = (VERTICES[FACES].reshape(-1, 3), np.arange(FACES.size).reshape(-1, 3))
     kept, faces = apply_filter(mesh, "laplacian", controls=Controls(preserve_volume=True))
@@ -252,9 +262,9 @@ def test_unwelded_closed_meshes_are_closed() -> None:
     [
         (FACES[1:], 3),
         (np.concatenate([FACES[:1, ::-1], FACES[1:]]), 3),
-        (np.concatenate([FACES, FACES[:1]]), 3),
+        (np.concatenate([FACES[1:], FACES[1:2]]), 3),
     ],
-    ids=["a hole", "a face turned over", "a face twice"],
+    ids=["a hole", "a face turned over", "a hole, and a face twice"],
 )
 def test_without_an_inside_there_is_no_volume(faces: Any, n_open: int) -> None:
     mesh = MeshArrays(VERTICES, np.ascontiguousarray(faces))

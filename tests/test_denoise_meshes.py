@@ -21,7 +21,7 @@ from denoise_cases import (
 )
 from gcnd import denoise
 from gcnd.denoise import denoise_arrays
-from gcnd.errors import MeshError
+from gcnd.errors import MeshError, MeshWarning
 from gcnd.nn.cascade import Cascade
 
 # --- invariances -------------------------------------------------------------------------------------
@@ -120,6 +120,18 @@ def test_odd_meshes_come_back_whole(preset: str, name: str) -> None:
     assert np.abs(moved[isolated] - vertices[isolated]).max(initial=0) <= 1e-12 * size
     for offset, scale in ((1e6, 1.0), (0.0, 1e-6)):
         assert np.isfinite(denoise((vertices * scale + offset, faces), preset=preset)[0]).all()
+
+
+@pytest.mark.parametrize("name", ["the same face twice", "a face and its back"])
+def test_a_repeated_face_changes_nothing(preset: str, name: str) -> None:
+    vertices, faces = ODD[name]
+    with pytest.warns(MeshWarning, match="1 of 3 faces repeat an earlier one"):
+        moved, same = denoise((vertices, np.array(faces)), preset=preset)
+    with pytest.warns(MeshWarning, match="one open piece of 2 faces"):
+        once, _ = denoise((vertices, np.array([faces[0], faces[2]])), preset=preset)
+    assert np.array_equal(moved, once)
+    assert np.abs(moved - vertices).max() > 1e-3
+    assert same.tolist() == faces
 
 
 def test_one_face_turns_about_its_centroid(preset: str) -> None:

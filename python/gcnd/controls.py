@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gcnd import _geom
 from gcnd.errors import ConfigError, MeshError
 from gcnd.mesh_io import MeshArrays
+from gcnd.repeats import without_repeats
 from gcnd.volume import check_closed, restored_volume, tell_nobody
 
 __all__ = ["Controls"]
@@ -94,12 +95,14 @@ class Controls:
         kept = np.zeros(len(welded.vertices), dtype=bool)
         if self.keep is not None:
             kept[ids[self._mask(mesh, len(arrays.vertices))]] = True
+        closed = welded
         if self.preserve_volume:
-            check_closed(welded.faces)
+            closed, _ = without_repeats(welded)
+            check_closed(closed.faces)
         longest = self._longest(welded)
 
         def finish(moved: Points) -> Points:
-            return _like_before(arrays, welded, ids, self._steered(welded, moved, kept, longest, ask))
+            return _like_before(arrays, welded, ids, self._steered(closed, moved, kept, longest, ask))
 
         return welded, finish
 

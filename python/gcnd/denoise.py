@@ -95,9 +95,11 @@ def denoise(
         WeightsError: The weights cannot be read or do not fit.
 
     Warns:
-        MeshWarning: Faces disagree on which side is out, or none touches another; or vertices are far off the surface.
+        MeshWarning: Faces are repeated, disagree on which side is out, have no area, or most have hardly a
+            neighbourhood; or vertices are far off the surface.
 
-    Paper: Secs. 3–6. Choice: docs/choices.md#boundary-vertices, docs/choices.md#orientation.
+    Paper: Secs. 3–6. Choice: docs/choices.md#boundary-vertices, docs/choices.md#orientation,
+    docs/choices.md#repeated-faces, docs/choices.md#no-neighbourhood.
 
     Example:
         >>> import gcnd, trimesh

@@ -16,8 +16,10 @@ from gcnd import _geom
 from gcnd.formats.atomic import write_or_tell
 from gcnd.mesh_io import MeshArrays
 from gcnd.neighbors import sum_across_edges
+from gcnd.repeats import without_repeats
 from gcnd.spikes import Spikes
 from gcnd.start import Start
+from gcnd.surface import as_surface
 from gcnd.volume import enclosed_volumes, open_edges
 
 __all__ = ["flipped_faces", "level_of", "make_report", "noise_level", "write_report"]
@@ -56,10 +58,12 @@ def make_report(
           of the input, and ``moved_vertices``.
         - ``flipped_faces``: ``before`` and ``after``, see `flipped_faces`; ``turned``, faces whose normal is more than
           90° from where it was.
-        - ``noise_level``: ``before`` and ``after``, see `noise_level`.
+        - ``noise_level``: ``before`` and ``after``, see `noise_level`. This, the flipped faces and the volumes are of
+          the mesh with repeated faces once, this and the flipped faces with those turned that disagree with the rest.
         - ``spikes``: ``inside`` and ``on_rim``, how many were taken off for the work; None where none was looked for.
     """
     welded, ids = before.welded()
+    once, _ = without_repeats(welded)
     moved = np.empty_like(welded.vertices)
     moved[ids] = after
     ways = np.linalg.norm(after - before.vertices, axis=1)
@@ -77,7 +81,7 @@ def make_report(
                 "vertices": len(after),
                 "faces": len(before.faces),
                 "mean_edge_length": edge,
-                **_volumes(welded, moved),
+                **_volumes(once, moved),
             },
             "seconds": {
                 **{stage: round(taken, 4) for stage, taken in seconds.items()},
@@ -87,7 +91,7 @@ def make_report(
                 **{name: float(value) for name, value in (lengths | in_edges).items()},
                 "moved_vertices": int(np.count_nonzero(ways)),
             },
-            **_shape_changes(welded, moved, spikes),
+            **_shape_changes(once, moved, spikes),
             "spikes": None if spikes is None else {"inside": spikes.n_inside, "on_rim": spikes.n_on_rim},
         }
     )
@@ -179,7 +183,7 @@ def _volumes(before: MeshArrays, after: Points) -> dict[str, float | None]:
 
 
 def _shape_changes(before: MeshArrays, after: Points, spikes: Spikes | None) -> dict[str, Any]:
-    topology = _geom.Topology(before.faces, len(after))
+    before, topology = as_surface(before)[:2]
     old, new = (_geom.face_geometry(points, before.faces)[0] for points in (before.vertices, after))
     return {
         "flipped_faces": {

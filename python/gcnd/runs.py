@@ -32,7 +32,7 @@ class Moved(NamedTuple):
 
     Attributes:
         vertices: Positions (V', 3), mesh units.
-        confidence: By face (F,), 0 to 1, or None.
+        confidence: By face of the surface (F',), 0 to 1, or None.
         described: What there is to say of the method once it has seen the mesh, as JSON-ready values.
     """
 
@@ -118,8 +118,8 @@ def run_on(
         Cancelled: ``progress`` said so.
 
     Warns:
-        MeshWarning: Faces disagree on which side is out, or none touches another, see ``gcnd.surface``; or there are
-            spikes, see ``gcnd.spikes``.
+        MeshWarning: Faces are repeated, disagree on which side is out, have no area, or most have hardly a
+            neighbourhood, see ``gcnd.surface``; or there are spikes, see ``gcnd.spikes``.
     """
     stages = Stages(progress)
     stages(0.0, "reading")
@@ -146,8 +146,9 @@ def run_on(
     result = rebuild(after)
     stages(1.0, "done")
     described = {**method, **moved.described, "controls": controls.described()}
+    confidence = None if moved.confidence is None else surface.of_all_faces(moved.confidence)
     return Denoised(
-        result, moved.confidence, arrays, after, stages.seconds, described, told_by_file + told, start.spikes
+        result, confidence, arrays, after, stages.seconds, described, told_by_file + told, start.spikes
     )
 
 
