@@ -226,3 +226,24 @@ def test_the_command_says_what_it_chose_and_why(tmp_path: Path) -> None:
     told = CliRunner().invoke(app, ["info", f"{tmp_path}/print.ply"])
     assert "lines every 4" in told.stdout
     assert "line share" in told.stdout
+
+
+def test_info_names_the_preset_that_denoise_takes_for_faces_that_disagree(tmp_path: Path) -> None:
+    vertices, faces = parts_of(trimesh.creation.icosphere(subdivisions=4))
+    frame = simulate("kinect2", vertices, faces, seed=1, size=0.3)
+    mixed = frame.faces.copy()
+    turned = np.random.default_rng(0).random(len(mixed)) < 0.5
+    mixed[turned] = mixed[turned][:, ::-1]
+    mixed = np.concatenate([mixed, mixed[:50, ::-1]])
+    # The premise: as it stands the mesh shows other signs.
+    assert choose_preset(signs_of(frame.noisy_vertices, mixed)).preset == "default"
+    save((frame.noisy_vertices, mixed), f"{tmp_path}/scan.ply")
+    info = json.loads(CliRunner().invoke(app, ["info", f"{tmp_path}/scan.ply", "--json"]).stdout)
+    assert info["duplicate_faces"] == 50
+    assert info["misoriented_edges"] > 100
+    with pytest.warns(gcnd.MeshWarning):
+        done = Denoiser().run(f"{tmp_path}/scan.ply")
+    assert info["preset"] == done.method["preset"] == "scan"
+    assert info["why"] == done.method["why"]
+    assert done.method["signs"].items() <= info.items()
+    assert done.report()["noise_level"]["before"] == pytest.approx(info["level"], abs=1e-3)

@@ -11,18 +11,19 @@ __all__ = ["run"]
 
 def run(input_mesh: InputMesh, as_json: JsonFlag = False) -> None:
     """Count the vertices, faces and defects of IN, estimate its noise, and say which preset suits it."""
-    from gcnd import _geom
     from gcnd.auto import choose_preset, read_signs
     from gcnd.mesh_info import mesh_info
     from gcnd.mesh_io import read_shape
     from gcnd.start import Start
+    from gcnd.surface import as_surface
 
     shape = read_shape(input_mesh)
     arrays = shape.arrays
     welded, _ = arrays.welded()
-    topology = _geom.Topology(welded.faces, len(welded.vertices))
-    start = Start(topology, welded.vertices)
-    signs = read_signs(topology, start.positions, welded.faces)
+    # As denoising sees it, or the preset would be another.
+    surface = as_surface(welded)
+    start = Start(surface.topology, surface.mesh.vertices)
+    signs = read_signs(surface.topology, start.positions, surface.mesh.faces)
     choice = choose_preset(signs)
     info: dict[str, object] = {**mesh_info(arrays.vertices, arrays.faces)}
     info |= {"spikes": 0 if start.spikes is None else len(start.spikes.ids), **signs.described()}
