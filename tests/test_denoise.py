@@ -264,7 +264,10 @@ def test_other_things_that_are_no_mesh(preset: str, tmp_path: Path) -> None:
         ({"seed": "1"}, "seed is '1', allowed: a whole number"),
         ({"seed": 1.5}, "seed is 1.5, allowed: a whole number"),
         ({"preserve_volume": "no"}, "preserve_volume is 'no', allowed: True or False"),
-        ({"preset": "papers"}, "unknown preset 'papers'"),
+        (
+            {"preset": "papers"},
+            "unknown preset 'papers', allowed: auto, default, fast, paper, scan or the path",
+        ),
         ({"device": "gpu7"}, "unknown device 'gpu7'"),
     ],
 )

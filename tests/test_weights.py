@@ -205,7 +205,14 @@ def test_tensors_that_do_not_fit_are_named(path: Path, change: str) -> None:
 
 @pytest.mark.parametrize("preset", ["papers", "", "../default", "sub/default", "default.pth"])
 def test_an_unknown_preset(preset: str) -> None:
-    refused(preset, "unknown preset .*, allowed: default", ConfigError)
+    """Preset "auto" is named where it is one: it stands for weights, and is no file of them."""
+    refused(
+        preset, "unknown preset .*, allowed: (auto, )?default, fast, paper, scan or the path", ConfigError
+    )
+    with pytest.raises(ConfigError, match=": default, fast"):
+        load_cascade(preset)
+    with pytest.raises(ConfigError, match=": auto, default, fast"):
+        denoise((np.eye(3), np.array([[0, 1, 2]])), preset=preset)
 
 
 def test_a_device_that_is_not_there(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

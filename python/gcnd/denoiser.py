@@ -83,7 +83,7 @@ class Denoiser:
         }
         self.triangulate = triangulate
         names = CANDIDATES if self.preset == AUTO else (self.preset,)
-        self.hashes = {name: weights_hash(name) for name in names}
+        self.hashes = {name: weights_hash(name, also=(AUTO,)) for name in names}
         self._load()
 
     def __call__(self, mesh: Any, *, progress: Progress | None = None) -> Any:

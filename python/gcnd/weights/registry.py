@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,11 +74,12 @@ def list_models() -> list[ModelInfo]:
     return models
 
 
-def find_weights(preset: str) -> Path:
+def find_weights(preset: str, also: Sequence[str] = ()) -> Path:
     """Finds the file of a preset.
 
     Args:
         preset: A shipped name, or the path of a file with the ending ``.safetensors``.
+        also: Names of no file that the caller takes beside these, for the error to name.
 
     Raises:
         ConfigError: No such preset.
@@ -86,7 +88,8 @@ def find_weights(preset: str) -> Path:
     is_path = str(preset).endswith(".safetensors")
     if not is_path and preset not in _SHIPPED:
         raise ConfigError(
-            f"unknown preset {preset!r}, allowed: {', '.join(_SHIPPED)} or the path of a .safetensors file",
+            f"unknown preset {preset!r}, allowed: {', '.join((*also, *_SHIPPED))} "
+            "or the path of a .safetensors file",
             hint="`gcnd models` lists the presets",
         )
     path = Path(preset) if is_path else _FOLDER / f"{preset}.safetensors"
@@ -95,9 +98,9 @@ def find_weights(preset: str) -> Path:
     return path
 
 
-def weights_hash(preset: str) -> str:
+def weights_hash(preset: str, also: Sequence[str] = ()) -> str:
     """Returns the SHA-256 of a preset's file, in hexadecimal; arguments and errors as in ``find_weights``."""
-    return hashlib.sha256(find_weights(preset).read_bytes()).hexdigest()
+    return hashlib.sha256(find_weights(preset, also).read_bytes()).hexdigest()
 
 
 def load_cascade(preset: str, device: torch.device | str = "cpu") -> Cascade:
