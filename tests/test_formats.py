@@ -253,6 +253,19 @@ def test_point_cloud_is_refused(tmp_path: Path) -> None:
         assert caught.value.hint == "a point cloud must be meshed first"
 
 
+def test_a_file_of_nothing_is_empty_and_no_point_cloud(tmp_path: Path) -> None:
+    ply = "ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\n"
+    ply += "element face 0\nproperty list uchar int vertex_indices\nend_header\n"
+    for name, content in [
+        ("a.ply", ply),
+        ("a.off", "OFF\n0 0 0\n"),
+        ("a.stl", bytes(84)),
+    ]:
+        with pytest.raises(MeshError, match="the mesh is empty: it has no vertices and no faces") as caught:
+            load(written(tmp_path, name, content))
+        assert caught.value.hint == "look at what made it"
+
+
 # --- OFF and STL -------------------------------------------------------------------------------------
 
 

@@ -106,6 +106,8 @@ def checked(vertices: NDArray[Any], faces: NDArray[Any]) -> MeshArrays:
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise MeshError(f"vertices have shape {vertices.shape}, not (V, 3)")
     if faces.size == 0:
+        if len(vertices) == 0:
+            raise MeshError("the mesh is empty: it has no vertices and no faces", "look at what made it")
         raise MeshError("the mesh has no faces", "a point cloud must be meshed first")
     if faces.ndim != 2 or faces.shape[1] != 3:
         if faces.ndim == 2 and faces.shape[1] > 3:
