@@ -14,6 +14,15 @@ def ball(subdivisions: int = 4) -> tuple[np.ndarray, np.ndarray]:
     return np.array(mesh.vertices), mesh.faces.astype(np.uint32)
 
 
+def turned(faces: np.ndarray, is_turned: np.ndarray | None = None) -> np.ndarray:
+    """Faces seen from the other side, all or those that are marked."""
+    return np.where((True if is_turned is None else is_turned[:, None]), faces[:, [0, 2, 1]], faces)
+
+
+def some_of(faces: np.ndarray, share: float = 0.4) -> np.ndarray:
+    return np.random.default_rng(0).random(len(faces)) < share
+
+
 def square() -> tuple[np.ndarray, np.ndarray]:
     vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     return vertices, np.array([[0, 1, 2], [0, 2, 3]], np.uint32)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scan_cases import ball
+from scan_cases import ball, some_of, turned
 
 from gcnd.cli import main
 from gcnd.data.pairs import PairFiles, load_pair
@@ -71,6 +71,51 @@ def test_options_that_do_not_fit_are_told(
     assert not places["OUT"].exists()
     assert not places["TRUTH"].exists()
     assert clean_path.read_bytes() == before
+
+
+@pytest.mark.parametrize("noise", [["--level", "0.3"], ["--kind", "print"]])
+@pytest.mark.parametrize("is_apart", [False, True])
+def test_turned_faces_give_the_same_noise_and_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], noise: list[str], is_apart: bool
+) -> None:
+    vertices, faces = ball(3)
+    is_turned = some_of(faces)
+    if is_apart:  # as STL has them
+        vertices, faces = vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)
+    clean, odd, outs = tmp_path / "clean.ply", tmp_path / "odd.ply", (tmp_path / "a.ply", tmp_path / "b.ply")
+    save((vertices, faces), clean)
+    save((vertices, turned(faces, is_turned)), odd)
+    assert main(["noise", str(clean), str(outs[0]), *noise]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["noise", str(odd), str(outs[1]), *noise]) == 0
+    told = capsys.readouterr().err
+    assert told.startswith(f"warning: {is_turned.sum()} of 1,280 faces are turned against the rest")
+    assert "the result has the faces of the input" in told
+    assert np.array_equal(load(outs[0]).vertices, load(outs[1]).vertices)
+    assert np.array_equal(load(outs[1]).faces, turned(faces, is_turned))
+
+
+def test_a_volume_too_large_says_what_the_command_can_change(
+    clean_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["noise", str(clean_path), str(tmp_path / "out.ply"), "--truth", str(tmp_path / "truth.ply")]
+    assert main([*command, "--kind", "fusion", "--size", "9", "--distance", "6"]) == 1
+    error = capsys.readouterr().err
+    assert "voxel is 0.004: the volume would have" in error
+    assert "hint: take a smaller size, or in Python a larger `Fusion.voxel`" in error
+
+
+def test_a_camera_takes_quads_as_they_are_and_vertices_of_quads_need_leave(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    quads = tmp_path / "quad.obj"
+    quads.write_text("v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4\n")
+    command = ["noise", str(quads), str(tmp_path / "out.obj")]
+    for options in (["--level", "0.1"], ["--kind", "print"]):
+        assert main([*command, *options]) == 1
+        assert "--triangulate" in capsys.readouterr().err
+    assert main([*command, "--kind", "kinect2", "--truth", str(tmp_path / "truth.obj")]) == 0
+    assert len(load(tmp_path / "truth.obj").faces) > 2000
 
 
 def test_vertex_noise_still_needs_a_level(clean_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,9 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gcnd.cli.options import InputMesh, OutputMesh, Seed, TriangulateFlag
-from gcnd.errors import ConfigError
+from gcnd.errors import ConfigError, MeshWarning
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from gcnd.meshes.arrays import MeshArrays
     from gcnd.scans import ScanKind
 
 __all__ = ["NoiseKind", "run"]
@@ -108,8 +113,22 @@ def _add_noise(input_mesh: Path, output_mesh: Path, triangulate: bool, options: 
     from gcnd.results import load_source
 
     arrays, rebuild = to_arrays(load_source(input_mesh, output_mesh, triangulate=triangulate))
-    moved = add_noise(arrays.vertices, arrays.faces, **options)
+    moved = add_noise(arrays.vertices, _oriented(arrays), **options)
     save(rebuild(moved), output_mesh, like=input_mesh)
+
+
+def _oriented(arrays: MeshArrays) -> NDArray[np.uint32]:
+    """The faces, turned so that vertex normals do not cancel; what is wrong is told as `gcnd denoise` does."""
+    from gcnd.surface import as_surface
+
+    once, _ = arrays.welded()
+    surface = as_surface(once)
+    for sentence in surface.told:
+        warnings.warn(sentence, MeshWarning, stacklevel=2)
+    is_turned = (surface.mesh.faces != once.faces).any(axis=1)
+    faces = arrays.faces.copy()
+    faces[is_turned] = faces[is_turned][:, [0, 2, 1]]
+    return faces
 
 
 def _print(
@@ -129,7 +148,7 @@ def _print(
     if truth is not None:
         _check_truth(input_mesh, output_mesh, truth)
     arrays, rebuild = to_arrays(load_source(input_mesh, *paths, triangulate=triangulate))
-    pair = simulate("print", arrays.vertices, arrays.faces, **options)
+    pair = simulate("print", arrays.vertices, _oriented(arrays), **options)
     for path, vertices in zip(paths, (pair.noisy_vertices, pair.clean_vertices), strict=False):
         save(rebuild(vertices), path, like=input_mesh)
 

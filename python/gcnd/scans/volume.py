@@ -39,7 +39,7 @@ class Volume:
         if n_voxels > _MOST_VOXELS:
             raise ConfigError(
                 f"voxel is {voxel:g}: the volume would have {n_voxels:.3g} voxels, allowed: {_MOST_VOXELS:.3g}",
-                hint="take a larger voxel",
+                hint="take a smaller size, or in Python a larger `Fusion.voxel`",
             )
         empty = np.ones(shape, dtype=bool)
         empty[tuple(np.rint((points - self.origin) / voxel).astype(np.int64).T)] = False
