@@ -6,15 +6,18 @@ import sys
 
 import numpy as np
 import pytest
-from scan_cases import ball, plane_view
+import trimesh
+from scan_cases import ball, plane_view, some_of, turned
 
 from gcnd import _geom
-from gcnd.errors import GcndError
+from gcnd.errors import GcndError, MeshError, MeshWarning
+from gcnd.scans import truth
 from gcnd.scans.camera import Camera, Pose
 from gcnd.scans.closest import Surface
 from gcnd.scans.frame import ScanPair
 from gcnd.scans.fusion import Fusion, _without_specks, fused_pair, orbit
 from gcnd.scans.kinect1 import Kinect1
+from gcnd.scans.sides import Sides
 from gcnd.scans.truth import is_folded, project_truth
 from gcnd.scans.volume import Volume
 
@@ -162,3 +165,73 @@ def test_folds_are_smoothed_out() -> None:
     same = np.linalg.norm(truth - projected, axis=1) < 1e-12
     assert same[far].mean() > 0.95
     assert np.linalg.norm(surface.nearest(truth).points - truth, axis=1).max() < 1e-12
+
+
+FEW = Fusion(n_frames=6)
+
+
+def box() -> tuple[np.ndarray, np.ndarray]:
+    mesh = trimesh.creation.box(extents=(1.0, 1.4, 0.7))
+    return np.array(mesh.vertices), mesh.faces.astype(np.uint32)
+
+
+def shell() -> tuple[np.ndarray, np.ndarray]:
+    """Walls so thin that nearest points lie on the inner one."""
+    vertices, faces = ball(3)
+    both = np.concatenate([vertices, 0.98 * vertices])
+    return both, np.concatenate([faces, turned(faces) + len(vertices)]).astype(np.uint32)
+
+
+def fuse(vertices: np.ndarray, faces: np.ndarray) -> ScanPair:
+    return fused_pair(vertices * 0.12, faces, 0.8, FEW, np.random.default_rng(3))
+
+
+@pytest.mark.parametrize("mesh", [ball(3), box(), shell()])
+def test_a_mesh_in_order_is_taken_as_it_is(
+    mesh: tuple[np.ndarray, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bit for bit what comes of believing the order of corners: other bits would be other training data."""
+    pair = fuse(*mesh)
+
+    def believed(vertices: np.ndarray, faces: np.ndarray) -> Sides:
+        return Sides(_geom.face_geometry(vertices, faces)[0], np.ones(len(faces), bool))
+
+    monkeypatch.setattr(truth, "find_sides", believed)
+    for own, other in zip(pair, fuse(*mesh), strict=True):
+        assert np.array_equal(own, other)
+
+
+@pytest.mark.parametrize("share", [0.4, 1.0])
+def test_the_order_of_corners_does_not_matter(fused: ScanPair, share: float) -> None:
+    vertices, faces = ball(4)
+    for own, other in zip(fused, fuse(vertices, turned(faces, some_of(faces, share))), strict=True):
+        assert own.shape == other.shape
+        np.testing.assert_allclose(own, other, atol=1e-9)
+
+
+def test_an_open_mesh_has_a_truth_on_both_sides() -> None:
+    vertices, faces = ball(4)
+    half = faces[vertices[faces].mean(axis=1)[:, 2] > 0]
+    with pytest.warns(MeshWarning, match=r"\d\d% of the fused vertices") as told:
+        pair = fuse(vertices, half)
+    assert "more than 2 voxels off the mesh" in str(told[0].message)
+    normals, centers, areas = _geom.face_geometry(pair.clean_vertices, pair.faces)
+    is_outward = np.einsum("fx,fx->f", normals, centers) > 0
+    assert 0.3 < is_outward.mean() < 0.7
+    noisy = _geom.face_geometry(pair.noisy_vertices, pair.faces)[0]
+    against = np.einsum("fx,fx->f", noisy, normals) < 0
+    assert areas[against].sum() < 0.02 * areas.sum()
+
+
+def test_a_truth_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    vertices, faces = ball(3)
+
+    def inward(vertices: np.ndarray, faces: np.ndarray) -> Sides:
+        return Sides(-_geom.face_geometry(vertices, faces)[0], np.ones(len(faces), bool))
+
+    monkeypatch.setattr(truth, "find_sides", inward)
+    with pytest.raises(
+        MeshError, match=r"the truth of (9\d|100)% of the fused faces is folded, allowed: 5%"
+    ) as caught:
+        fuse(vertices, faces)
+    assert "a larger size may help" in str(caught.value.hint)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,11 +11,18 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from gcnd.data.noise import AnyFaces, FaceArray, FloatArray
+from gcnd.errors import MeshError, MeshWarning
 from gcnd.scans.camera import Pose, look_at, random_direction
 from gcnd.scans.frame import DepthFrame, ScanPair, take_frame
 from gcnd.scans.kinect1 import Kinect1
 from gcnd.scans.truth import project_truth
 from gcnd.scans.volume import Volume
+
+_MOST_FOLDED = 0.05
+"""Share of the faces that may be left out because their truth is folded: up to 0.024 on what is trained on."""
+
+_FAR_VOXELS, _MOST_FAR = 2.0, 0.1
+"""A scan is told to have failed when a larger share of its vertices is further off than so many voxels."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +57,7 @@ def fused_pair(
 
     Args:
         vertices: (V, 3) float64 in metres.
-        faces: (F, 3), oriented outward.
+        faces: (F, 3), vertex ids.
         distance: Metres from the camera to the middle of the object.
         fusion: How frames are taken and fused.
         rng: Draws everything.
@@ -59,7 +67,10 @@ def fused_pair(
 
     Raises:
         GcndError: scikit-image is not installed.
-        MeshError: A vertex is not in front of a camera.
+        MeshError: A vertex is not in front of a camera, or the truth of more than a twentieth of the faces is folded.
+
+    Warns:
+        MeshWarning: More than a tenth of the scan's vertices lie more than two voxels off the mesh.
 
     Choice: docs/choices.md#truth-of-a-fused-scan.
     """
@@ -79,8 +90,27 @@ def fused_pair(
     if len(triangles) == 0:
         return _nothing()
     truth, folded = project_truth(noisy, triangles, vertices, faces)
+    _check(float(folded.mean()), np.linalg.norm(noisy - truth, axis=1) / fusion.voxel)
     used, places = np.unique(triangles[~folded], return_inverse=True)
     return ScanPair(noisy[used], truth[used], places.reshape(-1, 3).astype(np.uint32))
+
+
+def _check(folded: float, voxels_off: FloatArray) -> None:
+    """Refuses a truth that is none, and tells of a scan that is none."""
+    if folded > _MOST_FOLDED:
+        raise MeshError(
+            f"the truth of {folded:.0%} of the fused faces is folded, allowed: {_MOST_FOLDED:.0%}",
+            hint="the mesh may cross itself, or be thinner than a voxel: a larger size may help",
+        )
+    far = float((voxels_off > _FAR_VOXELS).mean())
+    if far > _MOST_FAR:
+        # Seen from the caller of `simulate`.
+        warnings.warn(
+            f"{far:.0%} of the fused vertices lie more than {_FAR_VOXELS:g} voxels off the mesh: frames from both "
+            "sides of a surface without thickness cancel, and so they do at thin walls, where a larger size helps",
+            MeshWarning,
+            stacklevel=4,
+        )
 
 
 def orbit(target: FloatArray, distance: float, fusion: Fusion, rng: np.random.Generator) -> list[Pose]:

@@ -66,7 +66,8 @@ def simulate(
     Args:
         kind: One of `SCAN_KINDS`.
         vertices: (V, 3) float64, clean positions in mesh units.
-        faces: (F, 3), vertex ids, anticlockwise seen from outside.
+        faces: (F, 3), vertex ids; for ``print`` neighbours agree on which side is out. A camera sees both sides, and
+            ``fusion`` finds out by itself, see `gcnd.scans.sides`.
         seed: Of everything that is drawn, >= 0; the same seed gives the same pair.
         size: Metres, above 0 to 100. Not used by ``print``.
         distance: Metres from the camera to the middle of the object; by default `DEFAULT_DISTANCES`. It must leave the
@@ -81,8 +82,11 @@ def simulate(
     Raises:
         ConfigError: An unknown kind, a setting of another one, or a number outside its range.
         MeshError: A face has an id that is no vertex, a position is not finite, there is no face, all vertices lie at
-            one point, or the scan found no surface.
+            one point, the scan found no surface, or the truth of a fused one is folded.
         GcndError: ``fusion`` without scikit-image.
+
+    Warns:
+        MeshWarning: A fused scan is far off the mesh, as of a surface without thickness.
 
     Paper: Sec. 7.1, the scanned data sets. Choice: docs/choices.md#simulated-scans; every number in docs/scans.md.
 

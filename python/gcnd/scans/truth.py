@@ -7,8 +7,9 @@ import numpy.typing as npt
 from scipy import sparse
 
 from gcnd import _geom
-from gcnd.data.noise import AnyFaces, FaceArray, FloatArray
+from gcnd.data.noise import AnyFaces, FaceArray, FloatArray, vertex_normals
 from gcnd.scans.closest import Surface
+from gcnd.scans.sides import find_sides
 from gcnd.scans.window import BoolArray
 
 _UNFOLDING_ROUNDS = 15
@@ -27,7 +28,8 @@ def project_truth(
         noisy: (V, 3) float64.
         faces: (F, 3) of the reconstruction.
         clean_vertices: (W, 3) float64.
-        clean_faces: (G, 3), oriented outward.
+        clean_faces: (G, 3). Which side of a closed body is out is found by `find_sides`, whatever the order of their
+            corners; a face of an open one looks to where the reconstruction's vertex does, for it is seen from both.
 
     Returns:
         (V, 3), on the clean surface; and (F,), which faces are folded still.
@@ -35,18 +37,16 @@ def project_truth(
     Choice: docs/choices.md#truth-of-a-fused-scan.
     """
     surface = Surface(clean_vertices, clean_faces)
-    surface_normals = _geom.face_geometry(
-        np.ascontiguousarray(clean_vertices), np.ascontiguousarray(clean_faces, dtype=np.uint32)
-    )[0]
+    sides, outward = find_sides(clean_vertices, clean_faces), vertex_normals(noisy, faces)
     truth, hit = surface.nearest(noisy)
     neighbors = _neighbor_mean(faces, len(noisy))
-    folded = is_folded(truth, faces, surface_normals[hit])
+    folded = is_folded(truth, faces, sides.towards(hit, outward))
     for _ in range(_UNFOLDING_ROUNDS):
         if not folded.any():
             break
         moved = np.unique(faces[folded])
         truth[moved], hit[moved] = surface.nearest((neighbors @ truth)[moved])
-        folded = is_folded(truth, faces, surface_normals[hit])
+        folded = is_folded(truth, faces, sides.towards(hit, outward))
     return truth, folded
 
 
