@@ -160,3 +160,25 @@ def test_a_crop_is_drawn_and_round() -> None:
 def test_a_small_scan_stays_whole() -> None:
     pair = grid_pair(30)
     assert training.cropped(pair, 0) is pair
+
+
+def test_a_scan_that_fails_is_drawn_again_and_told_when_all_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulate, calls = training.simulate, 0
+
+    def fails(n: int) -> None:
+        def failing(*arguments: object, **options: object) -> object:
+            nonlocal calls
+            calls += 1
+            if calls <= n:
+                raise MeshError(f"no surface in scan {calls}")
+            return simulate(*arguments, **options)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(training, "simulate", failing)
+
+    fails(2)
+    assert training_pair(shapes(), 3, 5, "print").name.endswith("-print-5")
+    assert calls == 3
+    calls = 0
+    fails(10)
+    with pytest.raises(MeshError, match=r"10 print scans of \w+ failed, one of them: no surface in scan 10"):
+        training_pair(shapes(), 3, 5, "print")

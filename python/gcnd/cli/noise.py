@@ -118,15 +118,18 @@ def _add_noise(input_mesh: Path, output_mesh: Path, triangulate: bool, options: 
 
 
 def _oriented(arrays: MeshArrays) -> NDArray[np.uint32]:
-    """The faces, turned so that vertex normals do not cancel; what is wrong is told as `gcnd denoise` does."""
+    """Each face once, turned so that vertex normals do not cancel; what is wrong is told as `gcnd denoise` does."""
+    import numpy as np
+
     from gcnd.surface import as_surface
 
     once, _ = arrays.welded()
     surface = as_surface(once)
     for sentence in surface.told:
         warnings.warn(sentence, MeshWarning, stacklevel=2)
-    is_turned = (surface.mesh.faces != once.faces).any(axis=1)
-    faces = arrays.faces.copy()
+    rows = slice(None) if surface.place is None else np.unique(surface.place, return_index=True)[1]
+    faces = arrays.faces[rows].copy()
+    is_turned = (surface.mesh.faces != once.faces[rows]).any(axis=1)
     faces[is_turned] = faces[is_turned][:, [0, 2, 1]]
     return faces
 

@@ -73,16 +73,16 @@ def find_sides(vertices: FloatArray, faces: AnyFaces) -> Sides:
         np.ascontiguousarray(vertices, dtype=np.float64), np.ascontiguousarray(faces, dtype=np.uint32)
     )
     once, _ = given.welded()
-    agreeing = as_surface(once).mesh.faces
+    surface = as_surface(once)
+    agreeing = surface.mesh.faces
     edges = _edges(agreeing)
     body = _bodies(edges, len(agreeing))
     is_closed = _without_boundary(edges, body)
-    is_turned = (agreeing != once.faces).any(axis=1) ^ _inside_out(once.vertices[agreeing], body, is_closed)[
-        body
-    ]
-    normals = _geom.face_geometry(given.vertices, given.faces)[0]
-    normals[is_turned] *= -1
-    return Sides(normals, is_closed[body])
+    normals = _geom.face_geometry(once.vertices, agreeing)[0]
+    normals[_inside_out(once.vertices[agreeing], body, is_closed)[body]] *= -1
+    # A repeated face has the side of the first one.
+    rows = slice(None) if surface.place is None else surface.place
+    return Sides(normals[rows], is_closed[body][rows])
 
 
 class _Edges(NamedTuple):

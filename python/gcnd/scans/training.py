@@ -261,26 +261,32 @@ def _job(meshes: Sequence[CleanMesh], seed: int, number: int, kind: ScanKind | N
 
 
 def _make(job: _Job) -> TrainingPair:
+    failed: MeshError | None = None
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([job.seed, job.number, SCAN_KINDS.index(job.kind), attempt])
         draw = draw_scan(job.kind, rng)
-        pair = simulate(
-            job.kind,
-            job.vertices,
-            job.faces,
-            seed=int(rng.integers(2**31)),
-            size=draw.size,
-            distance=draw.distance,
-            setting=draw.setting,
-            diagonal=draw.diagonal,
-        )
+        try:
+            pair = simulate(
+                job.kind,
+                job.vertices,
+                job.faces,
+                seed=int(rng.integers(2**31)),
+                size=draw.size,
+                distance=draw.distance,
+                setting=draw.setting,
+                diagonal=draw.diagonal,
+            )
+        except MeshError as error:  # from another side, or closer, it may be a scan
+            failed = error
+            continue
         if job.kind == "print" or len(pair.faces) >= FEWEST_FACES:
             name = f"{job.name}-{job.kind}-{job.number}"
             return TrainingPair(name, job.kind, pair.clean_vertices, pair.noisy_vertices, pair.faces)
     raise MeshError(
-        f"{_ATTEMPTS} {job.kind} scans of {job.name} had fewer than {FEWEST_FACES} faces",
+        f"{_ATTEMPTS} {job.kind} scans of {job.name} "
+        + (f"had fewer than {FEWEST_FACES} faces" if failed is None else f"failed, one of them: {failed}"),
         hint="leave this mesh out of the training",
-    )
+    ) from failed
 
 
 def _make_all(jobs: Sequence[_Job], folder: Path, workers: int) -> Iterator[None]:
