@@ -185,14 +185,15 @@ def test_faces_in_pairs_say_so() -> None:
         (fan(1), "the mesh is a single face: there is hardly a neighbourhood to learn from"),
         (TETRAHEDRON, None),
         (together(*[TETRAHEDRON] * 3), None),
+        (together(*[TETRAHEDRON] * 10, *[fan(8)] * 3), None),
         (MeshArrays(np.array(trimesh.creation.box().vertices), trimesh.creation.box().faces.astype("u4")), None),
         # Most: 84 faces beside 80, and 77 beside 80.
         (together(*[OPEN_SEVEN] * 12, BALL_80), "84 of the 164 faces are in open pieces of fewer than 8 faces, "),
-        (together(*[OPEN_SEVEN] * 11, BALL_80), None),
+        (together(*[fan(7)] * 11, BALL_80), None),
     ],
     ids=[
         "sevens", "fans of seven", "fans of eight", "a fan of eight", "a seven", "a face", "a tetrahedron",
-        "tetrahedra", "a cube", "just most", "just not most",
+        "tetrahedra", "tetrahedra and fans", "a cube", "just most", "just not most",
     ],
 )  # fmt: skip
 def test_pieces_too_small_to_learn_from_say_so(mesh: MeshArrays, told: str | None) -> None:
