@@ -126,11 +126,12 @@ def _fast(*steps: int) -> Recipe:
         "small patch network with a normal for every node, two stages, the second run twice",
         (
             TrainConfig(first, steps=steps[0]),
-            TrainConfig(_later(FAST_LATER_NETWORK, 0.4), steps=steps[1], lr=1e-3, seed=1),
+            TrainConfig(_later(FAST_LATER_NETWORK, 0.4, 0.25), steps=steps[1], lr=1e-3, seed=1),
         ),
         pool_size=400,
         refinement=replace(REFINE_WHERE_CONSISTENT, iterations=4),
         keep_detail=True,
+        flat_passes=1,
     )
 
 
