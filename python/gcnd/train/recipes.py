@@ -206,10 +206,10 @@ def _paper_scan(*steps: int) -> Recipe:
 
 
 RECIPES = {
-    "default": _default(38_000, 84_500),
-    "fast": _fast(13_500, 38_000),
+    "default": _default(38_000, 118_500),
+    "fast": _fast(13_500, 45_000),
     "paper": _paper(450_000, 300_000),
-    "scan": _scan(8_000, 8_000),
+    "scan": _scan(12_000, 13_000),
     "paper-scan": _paper_scan(450_000, 300_000),
 }
 """By name. The paper's own numbers of steps are 24 and 16 epochs of 2.4 M patches in batches of 128."""
