@@ -226,6 +226,19 @@ def test_each_body_keeps_its_own(offset: float) -> None:
         assert found == pytest.approx(wanted, rel=1e-5 if offset else 1e-10)
 
 
+@pytest.mark.parametrize("doublings", [-1000, -300, 200, 480])
+def test_the_volume_stays_at_any_size(doublings: int) -> None:
+    shrunk = 0.9 * VERTICES
+    usual = steered(Controls(preserve_volume=True, max_displacement_edges=0.5), shrunk)
+    # Beside a vertex that no face uses, far away.
+    far = np.array([[1e120, -1e120, 0.0]])
+    mesh = np.concatenate([np.ldexp(VERTICES, doublings), far]), FACES
+    moved = np.concatenate([np.ldexp(shrunk, doublings), far])
+    result = steered(Controls(preserve_volume=True, max_displacement_edges=0.5), moved, mesh)
+    assert bits(result[-1]) == bits(far[0])
+    np.testing.assert_allclose(np.ldexp(result[:-1], -doublings), usual, rtol=0, atol=1e-12)
+
+
 def test_limits_and_kept_vertices_go_before_the_volume() -> None:
     keep = VERTICES[:, 0] < 0.0
     moved = 0.9 * VERTICES

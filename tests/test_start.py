@@ -10,6 +10,7 @@ import gcnd
 from gcnd import _geom
 from gcnd.auto import read_signs
 from gcnd.data.noise import add_noise
+from gcnd.data.shapes import make_shape
 from gcnd.filters import apply_filter
 from gcnd.metrics import normal_error
 from gcnd.report import noise_level
@@ -80,7 +81,7 @@ def test_the_noise_of_a_mesh_is_told_without_its_spikes() -> None:
 
 
 def test_signs_of_a_scanner_are_seen_beside_a_spike() -> None:
-    ball = gcnd.data.shapes.make_shape(3, "smooth")
+    ball = make_shape(3, "smooth")
     pair = simulate("kinect2", ball.vertices, ball.faces, seed=1)
     vertices = pair.noisy_vertices.copy()
     topology = topology_of(vertices, pair.faces)

@@ -189,6 +189,17 @@ def test_colours_stand_for_values(browser: Browser, page: Path) -> None:
     assert differing(browser.picture("#stage"), plain) == 0.0
 
 
+def test_the_legend_says_in_what_its_numbers_are(browser: Browser, tmp_path: Path) -> None:
+    vertices, faces = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), [[0, 1, 2], [0, 2, 3]]
+    out = tmp_path / "view.html"
+    gcnd.view((1.1 * vertices, faces), against=(vertices, faces), confidence=[0.5, 1.0], out=out)
+    browser.open(out)
+    for layer, unit in (("angle", "degrees"), ("displacement", "mean edges"), ("doubt", "percent")):
+        browser.set("#layer", layer)
+        title = browser.evaluate("document.querySelector('#legend-title').textContent")
+        assert title.endswith(f", {unit}")
+
+
 def test_the_scale_has_the_end_that_is_typed(browser: Browser, page: Path) -> None:
     browser.open(page)
     browser.set("#layer", "angle")

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gcnd import _geom
 from gcnd.errors import ConfigError, MeshError
 from gcnd.mesh_io import MeshArrays
+from gcnd.meshes.arrays import LARGEST_COORDINATE
 from gcnd.repeats import without_repeats
+from gcnd.start import mean_edge_length
 from gcnd.volume import check_closed, restored_volume, tell_nobody
 
 __all__ = ["Controls"]
@@ -140,7 +141,7 @@ class Controls:
     def _longest(self, mesh: MeshArrays) -> float | None:
         limits = [] if self.max_displacement is None else [self.max_displacement]
         if self.max_displacement_edges is not None:
-            limits.append(self.max_displacement_edges * _geom.mean_edge_length(mesh.vertices, mesh.faces))
+            limits.append(self.max_displacement_edges * mean_edge_length(mesh.vertices, mesh.faces))
         return min(limits, default=None)
 
     def _mask(self, mesh: Any, n_vertices: int) -> NDArray[np.bool_]:
@@ -234,7 +235,8 @@ def _lengths(ways: Points) -> NDArray[np.float64]:
 
 def _like_before(arrays: MeshArrays, welded: MeshArrays, ids: NDArray[np.uint32], moved: Points) -> Points:
     """The mesh's own vertices (V, 3) where nothing moved, with the sign of every zero, and the moved ones elsewhere."""
-    if not np.isfinite(moved).all():
+    # What is written is to be read again.
+    if not (np.abs(moved) <= LARGEST_COORDINATE).all():
         raise MeshError("positions left the range of numbers", "scale the mesh to a size near 1")
     has_moved = (moved != welded.vertices).any(axis=1)[ids]
     result = arrays.vertices.copy()

@@ -23,6 +23,7 @@ from gcnd.formats.build import build
 from gcnd.formats.export import encode
 from gcnd.formats.glb import check_glb
 from gcnd.formats.glb_scene import read_glb_shape
+from gcnd.formats.names import check_name
 from gcnd.formats.obj import read_obj
 from gcnd.formats.off import read_off
 from gcnd.formats.parsed import DAMAGED_HINT, ParsedMesh
@@ -235,9 +236,10 @@ def check_input_path(path: MeshPath) -> None:
         path: The file.
 
     Raises:
-        MeshError: It is a folder, or its extension is not supported.
+        MeshError: It is a folder, its extension is not supported, or no file can have such a name.
     """
     path = Path(path)
+    check_name(path)
     if path.is_dir():
         raise MeshError(f"{path} is a folder, not a mesh file", "name a file in it")
     _known_extension(path)
@@ -253,11 +255,13 @@ def check_output_path(path: MeshPath, *others: MeshPath, is_mesh: bool = True) -
 
     Raises:
         MeshError: If the extension is not supported; the folder does not exist or is not writable; `path` is
-            a folder or a write-protected file; or it is one of ``others``, under whatever name. Of what is no mesh, a
-            plain `GcndError`.
+            a folder or a write-protected file; no file can have such a name; or it is one of ``others``, under whatever
+            name. Of what is no mesh, a plain `GcndError`.
     """
     path = Path(path)
     error = MeshError if is_mesh else GcndError
+    for each in (path, *map(Path, others)):
+        check_name(each, error)
     if path.is_dir():
         raise error(f"{path} is a folder, not a file", "add a file name to it")
     if is_mesh:

@@ -18,7 +18,7 @@ from gcnd.mesh_io import MeshArrays
 from gcnd.neighbors import sum_across_edges
 from gcnd.repeats import without_repeats
 from gcnd.spikes import Spikes
-from gcnd.start import Start
+from gcnd.start import Start, near_1
 from gcnd.surface import as_surface
 from gcnd.volume import enclosed_volumes, open_edges
 
@@ -174,12 +174,16 @@ def _volumes(before: MeshArrays, after: Points) -> dict[str, float | None]:
     if open_edges(before.faces):
         return {"volume_before": None, "volume_after": None}
     one_body = np.zeros(len(after), dtype=np.int64)
-    origin = before.vertices.mean(axis=0)
+    is_used = np.isin(np.arange(len(after)), before.faces)[:, None]
+    near, doublings = near_1(before.vertices, before.faces)
+    origin = near[is_used[:, 0]].mean(axis=0)
     volumes = [
-        float(enclosed_volumes(points - origin, before.faces, one_body)[0])
-        for points in (before.vertices, after)
+        enclosed_volumes(points - origin, before.faces, one_body)[0]
+        for points in (near, np.ldexp(np.where(is_used, after, 0.0), doublings))
     ]
-    return {"volume_before": volumes[0], "volume_after": volumes[1]}
+    with np.errstate(over="ignore"):  # in cubic mesh units it may be no number
+        told = [float(np.ldexp(volume, -3 * doublings)) for volume in volumes]
+    return {"volume_before": told[0], "volume_after": told[1]}
 
 
 def _shape_changes(before: MeshArrays, after: Points, spikes: Spikes | None) -> dict[str, Any]:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gcnd import _geom
 from gcnd.spikes import Spikes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from gcnd import _geom
-
-__all__ = ["Start"]
+__all__ = ["Start", "mean_edge_length", "near_1"]
 
 USUAL = (1e-30, 1e30)
 """Largest coordinates between which a mesh keeps its unit: products of some ten lengths are numbers there."""
@@ -67,6 +66,48 @@ class Start:
             back = self.spikes.tips_put_back(back)
         stayed = (moved == self.positions).all(axis=1)
         return np.where(stayed[:, None], self._given, back)
+
+
+def near_1(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> tuple[NDArray[np.float64], int]:
+    """Scales a mesh of unusual size by a power of two, so that products of its lengths are numbers.
+
+    Args:
+        vertices: (V, 3), mesh units, finite.
+        faces: (F, 3), vertex ids.
+
+    Returns:
+        The positions doubled so often that the largest is near 1, those that no face uses at the origin; and how often,
+        below 0 where they were halved: ``np.ldexp(positions, -count)`` takes them back. A mesh of usual size is
+        returned as it is, with 0.
+
+    Example:
+        >>> positions, count = near_1(np.ldexp(np.eye(3), -300), np.array([[0, 1, 2]]))
+        >>> positions[0].tolist(), count
+        ([0.5, 0.0, 0.0], 299)
+    """
+    is_used = np.zeros(len(vertices), dtype=np.bool_)
+    is_used[faces.reshape(-1)] = True
+    used = np.where(is_used[:, None], vertices, 0.0)
+    count = _doublings(used)
+    return (np.ldexp(used, count) if count else vertices), count
+
+
+def mean_edge_length(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -> float:
+    """Returns the mean length of a mesh's edges, each counted once, whatever the size of the mesh.
+
+    Args:
+        vertices: (V, 3), mesh units, finite.
+        faces: (F, 3), vertex ids.
+
+    Returns:
+        Mesh units; 0 for a mesh without an edge.
+
+    Example:
+        >>> mean_edge_length(np.array([[0.0, 0, 0], [3e-200, 0, 0], [0, 4e-200, 0]]), np.array([[0, 1, 2]], np.uint32))
+        4e-200
+    """
+    positions, doublings = near_1(vertices, faces)
+    return float(np.ldexp(_geom.mean_edge_length(positions, faces), -doublings))
 
 
 def _doublings(positions: NDArray[np.float64]) -> int:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcnd.errors import MeshError
+from gcnd.start import near_1
 
 __all__ = ["check_closed", "enclosed_volumes", "open_edges", "restored_volume", "tell_nobody"]
 
@@ -106,8 +107,22 @@ def restored_volume(
 
     Choice: docs/choices.md#volume.
     """
+    is_used = np.isin(np.arange(len(vertices)), faces)[:, None]
+    near, doublings = near_1(target, faces)
+    if doublings:
+
+        def there(points: Points) -> Points:
+            return np.where(is_used, np.ldexp(points, -doublings), vertices)
+
+        def here(points: Points) -> Points:
+            return np.ldexp(np.where(is_used, points, 0.0), doublings)
+
+        return there(
+            restored_volume(here(vertices), faces, near, free, lambda points: here(limit(there(points))), ask)
+        )
     body = _bodies(faces, len(vertices))
-    origin = target.mean(axis=0)
+    # Of what the faces use: others may be anywhere.
+    origin = target[is_used[:, 0]].mean(axis=0)
     ask()
     wanted = enclosed_volumes(target - origin, faces, body)
     gradient = _gradient(vertices - origin, faces)

@@ -142,6 +142,20 @@ def test_size_follows_the_mesh(ellipsoid: Mesh) -> None:
     np.testing.assert_allclose(large, 8 * small, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("kind", NOISE_KINDS)
+@pytest.mark.parametrize("doublings", [-1000, -600, -200, 200, 490])
+def test_no_size_is_too_small_or_too_large(kind: NoiseKind, doublings: int) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    # A vertex that no face uses, last in any order.
+    vertices, faces = np.append(ball.vertices, [[1e149, 0, 0]], axis=0), ball.faces.astype(np.uint32)
+    usual = add_noise(vertices, faces, kind=kind, seed=8)
+    assert np.ptp(usual[:-1] - ball.vertices) > 0.1
+    sized = vertices.copy()
+    sized[:-1] = np.ldexp(ball.vertices, doublings)
+    noisy = np.ldexp(add_noise(sized, faces, kind=kind, seed=8)[:-1], -doublings)
+    np.testing.assert_allclose(noisy, usual[:-1], rtol=1e-13, atol=1e-15)
+
+
 def test_level_zero_moves_nothing(ellipsoid: Mesh) -> None:
     vertices, faces = ellipsoid
     for kind in NOISE_KINDS:

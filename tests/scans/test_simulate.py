@@ -66,6 +66,27 @@ def test_a_pair_does_not_depend_on_unit_and_place(kind: ScanKind) -> None:
     np.testing.assert_allclose(far.noisy_vertices, 1000 * near.noisy_vertices + 5000, atol=1e-6)
 
 
+@pytest.mark.parametrize("kind", ["kinect1", "print"])
+@pytest.mark.parametrize("doublings", [-900, 480])
+def test_no_size_is_too_small_or_too_large(kind: ScanKind, doublings: int) -> None:
+    vertices, faces = ball(2)
+    view = None if kind == "print" else FRONT
+    usual = simulate(kind, vertices, faces, view=view)
+    stray = np.append(np.ldexp(vertices, doublings), [[1.5, -1e140, 0.0]], axis=0)
+    sized = simulate(kind, stray, faces, view=view)
+    assert np.array_equal(sized.faces, usual.faces)
+    if kind == "print":
+        assert np.array_equal(sized.noisy_vertices[-1], stray[-1])
+        # Nothing that is far away widens its waves.
+        sized = sized._replace(
+            noisy_vertices=sized.noisy_vertices[:-1], clean_vertices=sized.clean_vertices[:-1]
+        )
+        wide = np.append(vertices, [[0.0, 0, 0]], axis=0)
+        usual = ScanPair(simulate(kind, wide, faces).noisy_vertices[:-1], vertices, faces)
+    for one, other in zip(sized[:2], usual[:2], strict=True):
+        np.testing.assert_allclose(np.ldexp(one, -doublings), other, rtol=1e-12, atol=1e-14)
+
+
 def test_a_frame_sees_one_side_from_its_view() -> None:
     pair = scan("kinect2", view=FRONT)
     assert pair.clean_vertices[:, 2].min() > 0
@@ -180,6 +201,8 @@ def test_unusable_meshes_are_told() -> None:
         simulate("kinect1", vertices, np.zeros((0, 3), np.uint32))
     with pytest.raises(MeshError, match="all vertices lie at one point"):
         simulate("kinect1", np.zeros((3, 3)), np.array([[0, 1, 2]], np.uint32))
+    with pytest.raises(MeshError, match="all vertices lie at one point"):
+        simulate("print", np.ones((3, 3)), np.array([[0, 1, 2]], np.uint32))
     with pytest.raises(MeshError, match="42"):
         simulate("print", vertices, np.array([[0, 1, 42]], np.uint32))
     with pytest.raises(MeshError, match="the kinect1 scan found no surface") as caught:

@@ -110,10 +110,11 @@ def run(
 def _add_noise(input_mesh: Path, output_mesh: Path, triangulate: bool, options: dict[str, Any]) -> None:
     from gcnd.data.noise import add_noise
     from gcnd.mesh_io import save, to_arrays
+    from gcnd.meshes.arrays import checked
     from gcnd.results import load_source
 
     arrays, rebuild = to_arrays(load_source(input_mesh, output_mesh, triangulate=triangulate))
-    moved = add_noise(arrays.vertices, _oriented(arrays), **options)
+    moved = checked(add_noise(arrays.vertices, _oriented(arrays), **options), arrays.faces).vertices
     save(rebuild(moved), output_mesh, like=input_mesh)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from gcnd import _geom
+from gcnd import start
 from gcnd.errors import ConfigError, MeshError
 
 FloatArray = npt.NDArray[np.float64]
@@ -45,7 +45,7 @@ def mean_edge_length(vertices: FloatArray, faces: AnyFaces) -> float:
         >>> float(round(mean_edge_length(square, np.array([[0, 1, 2], [0, 2, 3]])), 4))
         1.0828
     """
-    return _geom.mean_edge_length(
+    return start.mean_edge_length(
         np.ascontiguousarray(vertices, dtype=np.float64), np.ascontiguousarray(faces, dtype=np.uint32)
     )
 
@@ -155,7 +155,7 @@ class NoiseSource:
                 f"face {face_id} is {ids[face_id].tolist()}, but there are {len(self._clean)} vertices"
             )
         self._faces = self._inverse[ids]
-        self._normals = vertex_normals(welded, self._faces)
+        self._normals = vertex_normals(start.near_1(welded, self._faces)[0], self._faces)
         self.mean_edge = mean_edge_length(welded, self._faces)
 
     def sample(

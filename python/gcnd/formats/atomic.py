@@ -43,6 +43,7 @@ _HINTS = {
     errno.EROFS: "it is mounted read-only: write elsewhere",
     errno.EACCES: "choose another folder or name",
     errno.EPERM: "choose another folder or name",
+    errno.ENAMETOOLONG: "choose a shorter name or folder",
 }
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gcnd.errors import MeshError
 from gcnd.formats.parsed import DAMAGED_HINT, ParsedMesh, polygon_error, truncated_error
+from gcnd.start import near_1
 
 __all__ = ["HEADER_BYTES", "RECORD", "binary_faces", "read_stl", "write_stl"]
 
@@ -112,7 +113,8 @@ def write_stl(mesh: ParsedMesh, *, as_text: bool) -> bytes:
         The whole file.
     """
     corners = mesh.vertices[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    near = near_1(mesh.vertices, mesh.faces)[0][mesh.faces]
+    normals = np.cross(near[:, 1] - near[:, 0], near[:, 2] - near[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
     if as_text:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gcnd.formats.polygons import Polygons
+from gcnd.start import near_1
 
 __all__ = ["Motion", "renewed_columns"]
 
@@ -48,7 +49,8 @@ class Motion:
         self.faces = np.asarray(faces, dtype=np.int64)
         self.after = np.asarray(after, dtype=np.float64)
         self.has_moved = (self.before != self.after).any(axis=1)[self.faces].any(axis=1)
-        a, b, c = (self.after[self.faces[:, corner]] for corner in range(3))
+        near, _ = near_1(self.after, self.faces)
+        a, b, c = (near[self.faces[:, corner]] for corner in range(3))
         self.face_sums: Points = np.cross(b - a, c - a)
 
     def face_normals(self, old: NDArray[Any]) -> NDArray[Any]:

@@ -17,6 +17,7 @@ from gcnd.scans.grid import Diagonal
 from gcnd.scans.kinect1 import Kinect1
 from gcnd.scans.kinect2 import Kinect2
 from gcnd.scans.printed import Print, printed_pair
+from gcnd.start import near_1
 
 ScanKind = Literal["kinect1", "kinect2", "fusion", "print"]
 """One frame of the first or the second Kinect, frames of the first fused, a print scanned."""
@@ -103,17 +104,21 @@ def simulate(
     ids = np.ascontiguousarray(faces, dtype=np.uint32)
     _geom.validate(clean, ids)
     rng = np.random.default_rng([seed, SCAN_KINDS.index(kind)])
-    if isinstance(chosen, Print):
-        return _printed(clean, ids, chosen, rng)
     used, places = np.unique(ids, return_inverse=True)
-    low, high = clean[used].min(axis=0), clean[used].max(axis=0)
+    positions, doublings = near_1(clean, ids)
+    low, high = positions[used].min(axis=0), positions[used].max(axis=0)
     middle, diagonal_length = (low + high) / 2, float(np.linalg.norm(high - low))
     if diagonal_length == 0:
         raise MeshError("all vertices lie at one point")
+    if isinstance(chosen, Print):
+        moved = np.ldexp(_printed(positions, ids, chosen, rng).noisy_vertices, -doublings)
+        if doublings:  # what no face uses waited at the origin
+            moved = np.where(np.isin(np.arange(len(clean)), used)[:, None], moved, clean)
+        return ScanPair(moved, clean, ids)
     away = DEFAULT_DISTANCES[kind] if distance is None else distance
     _check_lengths(size, away, chosen.sensor if isinstance(chosen, Fusion) else chosen)
     scale = size / diagonal_length
-    placed, triangles = (clean[used] - middle) * scale, places.reshape(-1, 3)
+    placed, triangles = (positions[used] - middle) * scale, places.reshape(-1, 3)
     if isinstance(chosen, Fusion):
         pair = fused_pair(placed, triangles, away, chosen, rng)
     else:
@@ -125,7 +130,8 @@ def simulate(
             f"the {kind} scan found no surface",
             hint="a larger size, a smaller distance or another seed may help",
         )
-    return ScanPair(pair.noisy_vertices / scale + middle, pair.clean_vertices / scale + middle, pair.faces)
+    noisy, truth = (np.ldexp(own / scale + middle, -doublings) for own in pair[:2])
+    return ScanPair(noisy, truth, pair.faces)
 
 
 def _printed(clean: FloatArray, faces: AnyFaces, setting: Print, rng: np.random.Generator) -> ScanPair:

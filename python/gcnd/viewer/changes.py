@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from gcnd import _geom
+from gcnd.start import mean_edge_length, near_1
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from gcnd.mesh_io import MeshArrays
 
-__all__ = ["Figures", "Layer", "compare_meshes"]
+__all__ = ["Figures", "Layer", "compare_meshes", "lengths"]
 
 _FLIPPED = 90.0
 """Degrees above which a face counts as flipped."""
@@ -24,6 +27,10 @@ _SHARE_IN_SCALE = 95.0
 
 _SHARE_OF_BOTH_IN_SCALE = 75.0
 """The same for values of two meshes together: with all of the worse one in it, the better one would be one colour."""
+
+_IN_EDGES = (1e-300, 1e300)
+"""Displacements in mean edges: a smaller one is 0, and a larger one none, since sums and steps of a scale must be
+numbers."""
 
 _STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 
@@ -55,8 +62,9 @@ class Layer:
 class Figures:
     """Holds what the page says in numbers.
 
-    Lengths are in mean edge lengths of the mesh before, angles in degrees between the normals of a face; a face without
-    area before, or in the truth, has none. Figures against the truth are ``None`` without one.
+    Lengths are in mean edge lengths of the mesh before, and NaN where all its edges are without length; angles in
+    degrees between the normals of a face; a face without area before, or in the truth, has none. Figures against the
+    truth are ``None`` without one.
 
     Attributes:
         faces: Number of faces.
@@ -115,8 +123,8 @@ def compare_meshes(
     """
     normals = [_normals(mesh) for mesh in (before, after)]
     angle = _geom.normal_angles(normals[1], normals[0])
-    edge = _geom.mean_edge_length(before.vertices, before.faces) or 1.0
-    displacement = np.linalg.norm(after.vertices - before.vertices, axis=1) / edge
+    edge = mean_edge_length(before.vertices, before.faces)
+    displacement = _in_edges(lengths(after.vertices - before.vertices), edge)
     counted = displacement[_used(before)]
     layers = [_layer("angle", "angular change", "°", "face", angle, angle)]
     against_truth: dict[str, float | int] = {}
@@ -124,7 +132,7 @@ def compare_meshes(
         errors = [_geom.normal_angles(own, _normals(truth)) for own in normals]
         layers.append(_layer("error", "error against truth", "°", "face", *errors))
         for when, values in zip(("before", "after"), errors, strict=True):
-            against_truth[f"e_a_{when}"] = _mean(values)
+            against_truth[f"e_a_{when}"] = _known(values, np.mean)
             against_truth[f"flipped_{when}"] = int(np.count_nonzero(values > _FLIPPED))
     layers.append(_layer("displacement", "displacement", " edges", "vertex", displacement, displacement))
     if confidence is not None:
@@ -134,10 +142,10 @@ def compare_meshes(
         faces=len(before.faces),
         vertices=len(counted),
         mean_edge_length=edge,
-        displacement_mean=float(counted.mean()),
-        displacement_max=float(counted.max()),
-        angle_mean=_mean(angle),
-        angle_max=float(np.nanmax(angle)) if not np.isnan(angle).all() else float("nan"),
+        displacement_mean=_known(counted, np.mean),
+        displacement_max=_known(counted, np.max),
+        angle_mean=_known(angle, np.mean),
+        angle_max=_known(angle, np.max),
         flipped=int(np.count_nonzero(angle > _FLIPPED)),
         **against_truth,  # type: ignore[arg-type]
     )
@@ -167,8 +175,21 @@ def _round_up(value: float) -> float:
     return float(next(step * power for step in _STEPS if value <= step * power * (1 + 1e-9)))
 
 
+def lengths(ways: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns the lengths (V,) of ways (V, 3), also where their squares would be no numbers, or 0."""
+    found: NDArray[np.float64] = np.hypot(np.hypot(ways[:, 0], ways[:, 1]), ways[:, 2])
+    return found
+
+
+def _in_edges(ways: NDArray[np.float64], edge: float) -> NDArray[np.float64]:
+    least, most = _IN_EDGES
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        shares = ways / edge
+    return np.where((edge > 0.0) & (shares <= most), np.where(shares < least, 0.0, shares), np.nan)
+
+
 def _normals(mesh: MeshArrays) -> NDArray[np.float64]:
-    return _geom.face_geometry(mesh.vertices, mesh.faces)[0]
+    return _geom.face_geometry(near_1(mesh.vertices, mesh.faces)[0], mesh.faces)[0]
 
 
 def _used(mesh: MeshArrays) -> NDArray[np.bool_]:
@@ -177,6 +198,7 @@ def _used(mesh: MeshArrays) -> NDArray[np.bool_]:
     return is_used
 
 
-def _mean(angles: NDArray[np.float64]) -> float:
-    known = angles[~np.isnan(angles)]
-    return float(known.mean()) if len(known) else float("nan")
+def _known(values: NDArray[np.float64], sum_up: Callable[[NDArray[np.float64]], np.float64]) -> float:
+    """What is made of the values that are known; NaN where none is."""
+    known = values[~np.isnan(values)]
+    return float(sum_up(known)) if len(known) else float("nan")

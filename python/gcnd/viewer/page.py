@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gcnd.viewer.changes import lengths
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -99,7 +101,7 @@ def _data(
     positions = [mesh.vertices[shown] for mesh in (before, after)]
     low, high = (f([f(own, axis=0) for own in positions], axis=0) for f in (np.min, np.max))
     middle = low + (high - low) / 2
-    radius = max(float(np.linalg.norm(own - middle, axis=1).max()) for own in positions) or 1.0
+    radius = max(float(lengths(own - middle).max()) for own in positions) or 1.0
     blobs = {
         "faces": _base64(new_id[before.faces].astype("<u4")),
         "positions-before": _base64(((positions[0] - middle) / radius).astype("<f4")),
@@ -134,8 +136,8 @@ def _figure_tables(figures: Figures, names: Names) -> str:
     rows = [
         ("faces", f"{figures.faces:,}"),
         ("vertices", f"{figures.vertices:,}"),
-        ("displacement, mean", f"{figures.displacement_mean:.3f} edges"),
-        ("displacement, largest", f"{figures.displacement_max:.3f} edges"),
+        ("displacement, mean", _edges(figures.displacement_mean)),
+        ("displacement, largest", _edges(figures.displacement_max)),
         ("angular change, mean", _degrees(figures.angle_mean)),
         ("angular change, largest", _degrees(figures.angle_max)),
         ("flipped (over 90°)", f"{figures.flipped:,}"),
@@ -153,6 +155,10 @@ def _figure_tables(figures: Figures, names: Names) -> str:
             f"<tr><td><th scope=col>before<th scope=col>after{cells}</table>"
         )
     return tables
+
+
+def _edges(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:{'.3f' if value < 1e6 else '.3g'}} edges"
 
 
 def _degrees(value: float) -> str:

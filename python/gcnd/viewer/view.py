@@ -92,7 +92,13 @@ def view(
 
 
 def _checked_confidence(confidence: ArrayLike, n_faces: int) -> NDArray[np.float64]:
-    values = np.asarray(confidence, dtype=np.float64).reshape(-1)
+    try:
+        given = np.asarray(confidence)
+    except ValueError:  # rows of different lengths
+        given = np.empty(0, dtype=object)
+    if given.dtype.kind not in "biuf":
+        raise ConfigError("confidence is no array of numbers, allowed: one for each face, 0 to 1")
+    values = given.astype(np.float64).reshape(-1)
     if len(values) != n_faces:
         raise ConfigError(f"confidence has {len(values)} values, and the mesh {n_faces} faces")
     if not ((values >= 0) & (values <= 1)).all():

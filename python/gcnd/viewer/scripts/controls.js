@@ -3,6 +3,7 @@ const byId = (id) => document.getElementById(id);
 const VIEWS = ["side", "wipe", "blend"];
 const TURN = 6;
 const STEP = 0.05;
+const UNITS = { "°": "degrees", edges: "mean edges", "%": "percent" };
 
 /** A number in a few digits, without needless zeros. */
 function inWords(value) {
@@ -111,7 +112,7 @@ class Controls {
     if (layer.top > end * 1.000001) numbers[4] = `≥ ${numbers[4]}`;
     byId("scale-end").value = Number(end.toPrecision(6));
     byId("scale-unit").textContent = layer.unit.trim();
-    byId("legend-title").textContent = `${layer.label}, ${layer.unit === "°" ? "degrees" : "mean edges"}`;
+    byId("legend-title").textContent = `${layer.label}, ${UNITS[layer.unit.trim()]}`;
     byId("ramp").setAttribute("aria-label", `colour scale from 0 to ${inWords(end)}${layer.unit}`);
     byId("ticks").replaceChildren(
       ...numbers.map((number) => Object.assign(document.createElement("li"), { textContent: number + unit })),
