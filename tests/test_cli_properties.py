@@ -65,6 +65,7 @@ IN_OUT = {"IN": inputs, "OUT": outputs}
 @given(lines("denoise", IN_OUT, FILTERED, {"--method": filters}))
 @example(line_of("denoise", "x" * 300 + ".ply", "out.ply", "--method", "taubin"))
 @example(line_of("denoise", "in.ply", "in.ply", "--method", "taubin"))
+@example(line_of("denoise", "in.ply", "out.ply", "--method", "taubin", "--param", "iterations=nan"))
 @example(line_of("denoise", "huge.ply", "out.stl", "--method", "taubin", "--preserve-volume"))
 @example(line_of("denoise", "in.ply", "out.ply", "--method", "taubin", "--report", "in.ply"))
 @example(line_of("denoise", "huge.ply", "out.json.ply", "--method", "taubin", "--report", "out.json"))
@@ -94,6 +95,7 @@ NOISE = {
 @example(line_of("noise", "tiny.ply", "out.ply", "--level", "0.2"))
 @example(line_of("noise", "large.ply", "out.ply", "--level", "0.2"))
 @example(line_of("noise", "in.ply", "in.ply", "--level", "0.2"))
+@example(line_of("noise", "in.ply", "out.ply", "--level", "0.2", "--fraction", "nan"))
 @example(line_of("noise", "huge.ply", "out.obj", "--level", "1000"))
 def test_noise(line: Line) -> None:
     check(line)
@@ -185,6 +187,9 @@ FOLDERS = st.sampled_from(["out", "folder", "in.ply", "no/out", "note.txt/out"])
 
 @some
 @given(lines("compare", {"IN": DATASETS}, COMPARE, {"--methods": st.sampled_from(METHODS), "--out": FOLDERS}))
+@example(Line(["compare", "in.ply", "--out", "out", "--methods", "taubin"], {"in.ply"}, set()))
+@example(Line(["compare", "bad", "--out", "out", "--methods", "taubin", "--noise", "nope"], {"bad"}, set()))
+@example(Line(["compare", "bad", "--out", "out", "--methods", "taubin", "--levels", "nan"], {"bad"}, set()))
 def test_compare_of_nothing(line: Line) -> None:
     assert check(line) != 0 or "--help" in line.arguments
 
