@@ -50,9 +50,9 @@ def counted(cover: Callable[..., Chunks], counts: list[int]) -> Callable[..., Ch
 
 
 def covered(cascade: Cascade, value: float) -> Cascade:
-    """Sets every stage's coverage, in place."""
-    stages = tuple(replace(stage, coverage=value) for stage in cascade.config.stages)
-    cascade.config = replace(cascade.config, stages=stages)
+    """Sets the coverage of every pass, in place, and lets every mesh have as many passes."""
+    stages = tuple(replace(stage, coverage=value, early_coverage=None) for stage in cascade.config.stages)
+    cascade.config = replace(cascade.config, stages=stages, flat_passes=0)
     return cascade
 
 

@@ -62,8 +62,15 @@ def turned(
 
 
 def with_coverage(cascade: Cascade, factor: float) -> Cascade:
-    """Multiplies every stage's coverage."""
-    stages = tuple(replace(stage, coverage=factor * (stage.coverage or 1)) for stage in cascade.config.stages)
+    """Multiplies every pass's coverage."""
+    stages = tuple(
+        replace(
+            stage,
+            coverage=factor * (stage.coverage or 1),
+            early_coverage=None if stage.early_coverage is None else factor * stage.early_coverage,
+        )
+        for stage in cascade.config.stages
+    )
     cascade.config = replace(cascade.config, stages=stages)
     return cascade
 

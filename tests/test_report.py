@@ -176,3 +176,22 @@ def test_a_report_that_cannot_be_written_is_told_first(
 def test_writing_tells_what_is_wrong(tmp_path: Path) -> None:
     with pytest.raises(GcndError, match=r"cannot write .*a\.json: No such file"):
         write_report(tmp_path / "none" / "a.json", {})
+
+
+@pytest.mark.parametrize("doublings", [-700, -300, 400])
+def test_displacements_are_right_at_any_size(doublings: int) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    vertices, faces = np.array(ball.vertices), ball.faces.astype(np.uint32)
+    moved = vertices.copy()
+    moved[:7] *= 1.01
+    found, usual = (
+        make_report(MeshArrays(np.ldexp(vertices, n), faces), np.ldexp(moved, n), {}, {}, None)
+        for n in (doublings, 0)
+    )
+    assert found["displacement"]["moved_vertices"] == 7
+    for name, value in usual["displacement"].items():
+        in_units = not (name.endswith("edges") or name == "moved_vertices")
+        assert found["displacement"][name] == pytest.approx(
+            float(np.ldexp(value, doublings * in_units)), rel=1e-12
+        )
+    assert found["mesh"]["mean_edge_length"] == float(np.ldexp(usual["mesh"]["mean_edge_length"], doublings))

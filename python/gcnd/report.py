@@ -18,7 +18,7 @@ from gcnd.mesh_io import MeshArrays
 from gcnd.neighbors import sum_across_edges
 from gcnd.repeats import without_repeats
 from gcnd.spikes import Spikes
-from gcnd.start import Start, near_1
+from gcnd.start import Start, mean_edge_length, near_1
 from gcnd.surface import as_surface
 from gcnd.volume import enclosed_volumes, open_edges
 
@@ -66,10 +66,10 @@ def make_report(
     once, _ = without_repeats(welded)
     moved = np.empty_like(welded.vertices)
     moved[ids] = after
-    ways = np.linalg.norm(after - before.vertices, axis=1)
-    edge = _geom.mean_edge_length(before.vertices, before.faces)
-    lengths = {"mean": ways.mean(), "rms": np.sqrt((ways**2).mean()), "max": ways.max()}
-    in_edges = {f"{name}_edges": value / edge if edge else 0.0 for name, value in lengths.items()}
+    ways = after - before.vertices
+    edge = mean_edge_length(before.vertices, before.faces)
+    sizes = _sizes(ways)
+    in_edges = {f"{name}_edges": value / edge if edge else 0.0 for name, value in sizes.items()}
     return _known(
         {
             "versions": {
@@ -88,13 +88,21 @@ def make_report(
                 "total": round(sum(seconds.values()), 4),
             },
             "displacement": {
-                **{name: float(value) for name, value in (lengths | in_edges).items()},
-                "moved_vertices": int(np.count_nonzero(ways)),
+                **{name: float(value) for name, value in (sizes | in_edges).items()},
+                "moved_vertices": int(np.count_nonzero(ways.any(axis=1))),
             },
             **_shape_changes(once, moved, spikes),
             "spikes": None if spikes is None else {"inside": spikes.n_inside, "on_rim": spikes.n_on_rim},
         }
     )
+
+
+def _sizes(ways: Points) -> dict[str, float]:
+    """Mean, root mean square and maximum of lengths of ways (V, 3), also where their squares would be no numbers."""
+    far = np.hypot(np.hypot(ways[:, 0], ways[:, 1]), ways[:, 2])
+    most = float(far.max(initial=0.0))
+    rms = most * float(np.sqrt(((far / most) ** 2).mean())) if most else 0.0
+    return {"mean": float(far.mean()), "rms": rms, "max": most}
 
 
 def _known(values: dict[str, Any]) -> dict[str, Any]:

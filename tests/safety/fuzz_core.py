@@ -73,7 +73,9 @@ def classes(rng: Rng, _: Path) -> bool:
         )
         roughness = _geom.mesh_roughness(topology_of(vertices, faces), vertices)
         spikes, feet, _ = _geom.find_spikes(topology_of(vertices, faces), vertices)
+        flat = _geom.flat_share(topology_of(vertices, faces), vertices, wild.number(rng))
     assert (found <= 3).all()
+    assert 0 <= flat <= 1
     assert not np.isnan(roughness).any()
     assert (np.diff(spikes.astype(np.int64)) > 0).all()
     finite(feet)

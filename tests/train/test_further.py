@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from train_cases import RECIPE, clean, sphere, use_small_shapes
 
+from gcnd.cli import main
 from gcnd.errors import ConfigError
 from gcnd.metrics import normal_error
 from gcnd.train import run as run_module
@@ -111,3 +112,35 @@ def test_a_damaged_verdict_is_named(tmp_path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=r"stage3\.json is damaged"):
         read_verdict(path)
+
+
+def test_a_kill_before_the_verdict_changes_nothing(tmp_path: Path) -> None:
+    recipe = replace(RECIPE, most_stages=3)
+    weights, _ = run(tmp_path, recipe)
+    written, verdict = weights.read_bytes(), (tmp_path / "stage3.json").read_bytes()
+    (tmp_path / "stage3.json").unlink()
+    weights.unlink()
+    assert run(tmp_path, recipe)[0].read_bytes() == written
+    assert (tmp_path / "stage3.json").read_bytes() == verdict
+
+
+def test_a_further_stage_has_noise_of_its_own(tmp_path: Path) -> None:
+    run(tmp_path, replace(RECIPE, most_stages=3))
+    second, third = (np.load(tmp_path / f"stage{n}.pool" / "0000.npz") for n in (2, 3))
+    assert not np.array_equal(second["first"], third["first"])
+
+
+def test_fewer_stages_than_the_recipe_has_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", "--preset", "default", "--most-stages", "1", "--out", str(tmp_path / "run")]) == 1
+    assert "most_stages is 1, but default has 2 of its own" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_command_passes_the_most_stages_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+    monkeypatch.setattr("gcnd.cli.train._train", lambda _, recipe, *rest: seen.append(recipe.most_stages))
+    for options in (["--most-stages", "4"], []):
+        assert main(["train", "--out", str(tmp_path / "run"), *options]) == 0
+    assert seen == [4, 0]

@@ -190,6 +190,15 @@ def test_a_stage_that_runs_twice_learns_from_its_own_first_pass(straight: Path, 
     assert same == [True, True, False]
 
 
+def test_own_passes_have_the_coverage_that_they_have_at_run_time(straight: Path, tmp_path: Path) -> None:
+    corpus = generated_corpus(RECIPE, tmp_path, None)
+    training = TrainingRun(tmp_path, RECIPE, corpus, start_from=str(straight / "tiny.safetensors"))
+    stage = replace(RECIPE.stages[1].stage, passes=3, coverage=0.9, early_coverage=0.4)
+    assert [own.coverage for own, _ in training._own_passes(1, stage)] == [0.4, 0.4]
+    assert training._own_passes(1, replace(stage, passes=1)) == []
+    assert training._own_passes(2, stage) == []
+
+
 def test_a_finished_stage_of_other_settings_is_refused(straight: Path, tmp_path: Path) -> None:
     (tmp_path / "stage1.safetensors").write_bytes((straight / "stage1.safetensors").read_bytes())
     longer = replace(RECIPE, stages=(replace(RECIPE.stages[0], steps=50), RECIPE.stages[1]))

@@ -48,14 +48,14 @@ def run(
     ] = None,
     scale: Annotated[float, typer.Option(min=0.0, help="Factor on the recipe's optimiser steps.")] = 1.0,
     most_stages: Annotated[
-        int,
+        int | None,
         typer.Option(
-            min=0,
+            min=1,
             help="After the recipe's stages, train more like the last, up to this many in all, while each lowers the "
             "validation error by 1 %.",
             show_default="the recipe's",
         ),
-    ] = 0,
+    ] = None,
     precision: Annotated[
         str | None,
         typer.Option(help="float32 or bfloat16; by default bfloat16 where the processor computes in it."),
@@ -85,7 +85,12 @@ def run(
     if pairs is not None and not pairs.is_dir():
         raise ConfigError(f"{pairs} is not a folder of pairs")
     recipe = adapted(get_recipe(preset), scale=scale, precision=precision, device=device.value)
-    recipe = replace(recipe, most_stages=most_stages)
+    if most_stages is not None:
+        if most_stages < len(recipe.stages):
+            raise ConfigError(
+                f"most_stages is {most_stages}, but {preset} has {len(recipe.stages)} of its own"
+            )
+        recipe = replace(recipe, most_stages=most_stages)
     folder = out or Path("runs") / recipe.name
     weights = folder / f"{recipe.name}.safetensors"
     if start_from is not None and folder.is_dir():

@@ -180,6 +180,7 @@ class CascadeConfig:
         vertex_iterations: Iterations of Eq. 6 after every pass.
         keep_detail: Whether detail that was taken away with weak noise comes back; see ``_geom.keep_detail``.
         flat_passes: Passes of the last stage more on a mesh that is flat for a good part, before its last.
+            It is looked for after the last pass but one, so that a cascade of one pass has none.
             Choice: docs/choices.md#flat-meshes.
     """
 

@@ -22,7 +22,7 @@ from gcnd.scans.kinect2 import Kinect2
 from gcnd.scans.printed import Print
 from gcnd.scans.simulate import SCAN_KINDS, ScanKind, Setting, simulate
 
-PAIRS_VERSION = 1
+PAIRS_VERSION = 2
 """Raise when a seed gives other pairs: older files are then made again."""
 
 KIND_SHARES = (0.3, 0.3, 0.25, 0.15)
@@ -284,7 +284,9 @@ def _make(job: _Job) -> TrainingPair:
             return TrainingPair(name, job.kind, pair.clean_vertices, pair.noisy_vertices, pair.faces)
     raise MeshError(
         f"{_ATTEMPTS} {job.kind} scans of {job.name} "
-        + (f"had fewer than {FEWEST_FACES} faces" if failed is None else f"failed, one of them: {failed}"),
+        + ("" if failed is None else "failed or ")
+        + f"had fewer than {FEWEST_FACES} faces"
+        + ("" if failed is None else f", one of them: {failed}"),
         hint="leave this mesh out of the training",
     ) from failed
 

@@ -126,12 +126,11 @@ def _fast(*steps: int) -> Recipe:
         "small patch network with a normal for every node, two stages, the second run twice",
         (
             TrainConfig(first, steps=steps[0]),
-            TrainConfig(_later(FAST_LATER_NETWORK, 0.4, 0.25), steps=steps[1], lr=1e-3, seed=1),
+            TrainConfig(_later(FAST_LATER_NETWORK, 0.4), steps=steps[1], lr=1e-3, seed=1),
         ),
         pool_size=400,
         refinement=replace(REFINE_WHERE_CONSISTENT, iterations=4),
         keep_detail=True,
-        flat_passes=1,
     )
 
 
@@ -207,7 +206,7 @@ def _paper_scan(*steps: int) -> Recipe:
 
 RECIPES = {
     "default": _default(38_000, 118_500),
-    "fast": _fast(13_500, 45_000),
+    "fast": _fast(13_500, 38_000),
     "paper": _paper(450_000, 300_000),
     "scan": _scan(12_000, 13_000),
     "paper-scan": _paper_scan(450_000, 300_000),

@@ -215,13 +215,18 @@ class TrainingRun:
                 self.corpus.shapes,
                 before,
                 self.recipe.pool_size,
-                self.recipe.seed,
+                self._pool_seed(index),
                 self.device,
                 config.precision,
                 self.recipe.vertex_iterations,
                 self._tell_pool,
                 self._own_passes(index, config.stage),
             )
+
+    def _pool_seed(self, index: int) -> int:
+        """Of a pool's noise: a stage beyond the recipe's is not to learn from what the last one knows by heart."""
+        seed = self.recipe.seed
+        return seed if index < len(self.recipe.stages) else seed + index
 
     def _own_passes(self, index: int, stage: StageConfig) -> list[tuple[StageConfig, nn.Module]]:
         """All passes of a stage but the last, by the weights that it starts from, if they are its own."""
@@ -231,7 +236,8 @@ class TrainingRun:
         network.load_state_dict(
             grown(self.start.stages[index].state_dict(), self.start.config.stages[index], stage)
         )
-        return [(stage, network.eval())] * (stage.passes - 1)
+        own: list[tuple[StageConfig, nn.Module]] = [(stage, network.eval())]
+        return written_out(own)[:-1]
 
     def _tell_pool(self, made: int, total: int) -> None:
         if made % MADE_BETWEEN_LINES == 0 or made == total:
