@@ -14,20 +14,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 from cli_cases import FACES, VERTICES
 from gcnd.cli import main
 from gcnd.mesh_io import SUPPORTED, load, save
+from property_cases import cases
 
-some = settings(
-    max_examples=40,
-    deadline=None,
-    derandomize=True,
-    database=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+some = cases(40)
 
 Files = dict[str, bytes | None]
 """Contents by path inside the folder that a command runs in; None of a folder."""

@@ -11,13 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from gcnd import Controls, Denoiser, GcndError, MeshWarning, denoise
 from gcnd.filters import Filter
 from gcnd.runs import Method
+from property_cases import cases
 from sheet_cases import even_sheet
 
 Points = NDArray[np.float64]
@@ -29,13 +30,7 @@ so that positions differ by some 10⁻¹⁵ and features, rounded to 32 bits, no
 the network and vertex updating hand on a few of those. Largest in 40 meshes drawn as here: 1.3 · 10⁻¹³, and once, of a
 ball, 3 · 10⁻¹⁰."""
 
-few = settings(
-    max_examples=5,
-    deadline=None,
-    derandomize=True,
-    database=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+few = cases(5)
 
 
 class Mesh(NamedTuple):

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, settings
 from numpy.typing import NDArray
 
 import gcnd
@@ -22,6 +21,7 @@ from gcnd.errors import GcndError
 from gcnd.mesh_io import to_arrays
 from gcnd.viewer.changes import Figures, compare_meshes
 from gcnd.viewer.page import Names, view_page
+from property_cases import cases
 
 # Two right triangles in the plane z = 0 that share their long edge; mean edge (4 + √2) / 5.
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
@@ -30,13 +30,7 @@ EDGE = (4 + np.sqrt(2)) / 5
 # Corner 1 lifted: it turns face 0 alone.
 LIFTED = SQUARE + np.outer([0, 1, 0, 0], [0, 0, 1])
 
-some = settings(
-    max_examples=100,
-    deadline=None,
-    derandomize=True,
-    database=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
+some = cases(100)
 
 
 class Page(HTMLParser):

@@ -14,7 +14,7 @@ from gcnd.errors import ConfigError, MeshError
 from gcnd.mesh_io import MeshArrays
 from gcnd.meshes.arrays import LARGEST_COORDINATE
 from gcnd.repeats import without_repeats
-from gcnd.start import mean_edge_length
+from gcnd.start import lengths, mean_edge_length
 from gcnd.volume import check_closed, restored_volume, tell_nobody
 
 __all__ = ["Controls"]
@@ -211,26 +211,20 @@ def _limited(before: Points, moved: Points, longest: float, ask: Callable[[], ob
         if not len(far):
             break
         way = moved[far] - before[far]
-        length = _lengths(way)[:, None]
+        length = lengths(way)[:, None]
         result[far] = before[far] + way * (np.minimum(longest / length, 1.0) * (1.0 - share))
     return result
 
 
 def _is_too_far(before: Points, moved: Points, longest: float) -> NDArray[np.bool_]:
     """Whether each displacement is too long (V,), as it is or once rounded to a type that holds the input exactly."""
-    is_too_far = _lengths(moved - before) > longest
+    is_too_far = lengths(moved - before) > longest
     for dtype in (np.float32, np.float16):
         with np.errstate(over="ignore", invalid="ignore"):
             fits = (before.astype(dtype) == before).all(axis=1)
-            rounded = _lengths(moved.astype(dtype).astype(np.float64) - before)
+            rounded = lengths(moved.astype(dtype).astype(np.float64) - before)
         is_too_far |= fits & (rounded > longest)
     return is_too_far
-
-
-def _lengths(ways: Points) -> NDArray[np.float64]:
-    """Lengths (V,), also where their squares would be no numbers."""
-    lengths: NDArray[np.float64] = np.hypot(np.hypot(ways[:, 0], ways[:, 1]), ways[:, 2])
-    return lengths
 
 
 def _like_before(arrays: MeshArrays, welded: MeshArrays, ids: NDArray[np.uint32], moved: Points) -> Points:

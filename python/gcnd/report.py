@@ -18,7 +18,7 @@ from gcnd.mesh_io import MeshArrays
 from gcnd.neighbors import sum_across_edges
 from gcnd.repeats import without_repeats
 from gcnd.spikes import Spikes
-from gcnd.start import Start, mean_edge_length, near_1
+from gcnd.start import Start, lengths, mean_edge_length, near_1
 from gcnd.surface import as_surface
 from gcnd.volume import enclosed_volumes, open_edges
 
@@ -99,7 +99,7 @@ def make_report(
 
 def _sizes(ways: Points) -> dict[str, float]:
     """Mean, root mean square and maximum of lengths of ways (V, 3), also where their squares would be no numbers."""
-    far = np.hypot(np.hypot(ways[:, 0], ways[:, 1]), ways[:, 2])
+    far = lengths(ways)
     most = float(far.max(initial=0.0))
     rms = most * float(np.sqrt(((far / most) ** 2).mean())) if most else 0.0
     return {"mean": float(far.mean()), "rms": rms, "max": most}

@@ -12,7 +12,7 @@ from gcnd.spikes import Spikes
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Start", "mean_edge_length", "near_1"]
+__all__ = ["Start", "lengths", "mean_edge_length", "near_1"]
 
 USUAL = (1e-30, 1e30)
 """Largest coordinates between which a mesh keeps its unit: products of some ten lengths are numbers there."""
@@ -108,6 +108,17 @@ def mean_edge_length(vertices: NDArray[np.float64], faces: NDArray[np.uint32]) -
     """
     positions, doublings = near_1(vertices, faces)
     return float(np.ldexp(_geom.mean_edge_length(positions, faces), -doublings))
+
+
+def lengths(ways: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns the lengths (V,) of ways (V, 3), also where their squares would be no numbers, or 0.
+
+    Example:
+        >>> lengths(np.array([[3e-200, 4e-200, 0.0]])).tolist()
+        [5e-200]
+    """
+    found: NDArray[np.float64] = np.hypot(np.hypot(ways[:, 0], ways[:, 1]), ways[:, 2])
+    return found
 
 
 def _doublings(positions: NDArray[np.float64]) -> int:

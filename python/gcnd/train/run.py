@@ -131,10 +131,8 @@ class TrainingRun:
         path = self.folder / f"stage{index + 1}.json"
         with first_process_first():
             if self.is_first and not path.exists():
-                without = self._denoised_validation(config, before)
-                errors = (
-                    mean_error(m) for m in (without, self._denoised_validation(config, [*before, further]))
-                )
+                cascades = (before, [*before, further])
+                errors = (mean_error(self._denoised_validation(config, stages)) for stages in cascades)
                 write_verdict(path, Verdict(*errors))
             verdict = read_verdict(path)
         self._say(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from gcnd import _geom
-from gcnd.start import mean_edge_length, near_1
+from gcnd.start import lengths, mean_edge_length, near_1
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from gcnd.mesh_io import MeshArrays
 
-__all__ = ["Figures", "Layer", "compare_meshes", "lengths"]
+__all__ = ["Figures", "Layer", "compare_meshes"]
 
 _FLIPPED = 90.0
 """Degrees above which a face counts as flipped."""
@@ -173,12 +173,6 @@ def _round_up(value: float) -> float:
     power = 10.0 ** np.floor(np.log10(value))
     # A hair of room, so that 5 stays 5 whatever the division makes of it.
     return float(next(step * power for step in _STEPS if value <= step * power * (1 + 1e-9)))
-
-
-def lengths(ways: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns the lengths (V,) of ways (V, 3), also where their squares would be no numbers, or 0."""
-    found: NDArray[np.float64] = np.hypot(np.hypot(ways[:, 0], ways[:, 1]), ways[:, 2])
-    return found
 
 
 def _in_edges(ways: NDArray[np.float64], edge: float) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gcnd.viewer.changes import lengths
+from gcnd.start import lengths
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
