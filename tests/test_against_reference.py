@@ -246,6 +246,32 @@ def test_vertex_updating(case: Case, iterations: int) -> None:
     assert np.abs(got - case.vertices).max() > 0.01
 
 
+def test_fitting_vertices(case: Case) -> None:
+    normals = _geom.face_geometry(case.clean, case.faces.astype(np.uint32))[0]
+    normals[3] = 0
+    start = _geom.update_vertices(case.topology, case.vertices, normals, 15)
+    got = _geom.fit_vertices(case.topology, start, normals, case.vertices)
+    want, matrix = filters.fit_vertices(start, case.faces, normals, case.vertices)
+    assert np.abs(want - start).max() > 0.001
+
+    def above_the_least(positions: np.ndarray) -> float:
+        way = (positions - want).ravel()
+        return float(way @ matrix @ way)
+
+    # The solver takes thirty steps, not as many as there are unknowns.
+    assert above_the_least(got) < 0.005 * above_the_least(start)
+
+
+def test_fitting_as_few_vertices_as_the_solver_takes_steps() -> None:
+    case = make_case(*meshes.cube(0), amplitude=0.05)
+    normals = _geom.face_geometry(case.clean, case.faces.astype(np.uint32))[0]
+    start = _geom.update_vertices(case.topology, case.vertices, normals, 15)
+    got = _geom.fit_vertices(case.topology, start, normals, case.vertices)
+    want, _ = filters.fit_vertices(start, case.faces, normals, case.vertices)
+    np.testing.assert_allclose(got, want, rtol=0, atol=1e-8)
+    assert np.abs(got - start).max() > 0.01
+
+
 def test_keeping_detail(case: Case) -> None:
     rng = np.random.default_rng(5)
     steps = rng.normal(size=(len(case.vertices), 3)) * 0.002

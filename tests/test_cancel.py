@@ -246,10 +246,11 @@ def core_work(mesh: tuple[np.ndarray, np.ndarray]) -> dict[str, tuple[Callable[.
         ),
         "consistent": (consistent, 1 + 12 + 2 * 20),
         "update": (functools.partial(_geom.update_vertices, topology, vertices, normals, 15), 15),
+        "fit": (functools.partial(_geom.fit_vertices, topology, vertices, normals, vertices), 30),
     }
 
 
-@pytest.mark.parametrize("name", ["extractor", "refine", "consistent", "update"])
+@pytest.mark.parametrize("name", ["extractor", "refine", "consistent", "update", "fit"])
 def test_the_core_asks_between_its_steps_and_does_none_after_a_no(name: str) -> None:
     work, n_steps = core_work(wave(20))[name]
     for last in (1, n_steps // 2, n_steps):

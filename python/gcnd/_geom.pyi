@@ -310,6 +310,17 @@ def hc_laplacian(
 ) -> Points:
     """Averages of positions, pushed back (Vollmer et al. 1999, Sec. 3)."""
 
+def fit_vertices(
+    topology: Topology,
+    vertices: Points,
+    normals: Points,
+    first: Points,
+    boundary: Literal["free", "along", "fixed"] = "free",
+    *,
+    progress: StepProgress | None = None,
+) -> Points:
+    """Positions (V, 3), mesh units, between what normals (F, 3) ask for and where vertices were ``first``."""
+
 def keep_detail(topology: Topology, before: Points, after: Points) -> Points:
     """Detail that was taken away with weak noise, back: positions (V, 3), mesh units."""
 

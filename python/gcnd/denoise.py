@@ -1,7 +1,7 @@
 """The straight line: a noisy mesh in, a clean mesh out (paper Fig. 2).
 
 load → topology (once) → [patches → network → face normals → vertex update] per stage → refined normals at the
-last → detail back where the noise is weak → save.
+last → vertex update → vertices between normals and first positions → detail back where the noise is weak → save.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gcnd import _geom
 from gcnd.auto import AUTO
 from gcnd.controls import Controls
 from gcnd.errors import check_progress
-from gcnd.passes import run_passes
+from gcnd.passes import Pass, is_flat, run_passes
 from gcnd.predict import agreement, refined, settle_threads
 from gcnd.stages import Progress, Stages
 from gcnd.start import Start
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import ArrayLike, NDArray
 
-    from gcnd.nn.cascade import Cascade
+    from gcnd.nn.cascade import Cascade, CascadeConfig
     from gcnd.nn.fold import Precision
 
 
@@ -201,11 +201,12 @@ def clean_arrays(
     Paper: Fig. 2; Sec. 6 for what follows the last network.
     """
     settle_threads()
-    if vertex_iterations is None:
-        vertex_iterations = cascade.config.vertex_iterations
-    refinement = cascade.config.refinement
+    config = cascade.config
+    if vertex_iterations is not None:
+        config = replace(config, vertex_iterations=vertex_iterations)
     if normal_iterations is not None:
-        refinement = replace(refinement, iterations=normal_iterations, tolerance=None)
+        everywhere = replace(config.refinement, iterations=normal_iterations, tolerance=None, flat_only=False)
+        config = replace(config, refinement=everywhere)
     passes = run_passes(
         topology,
         start.positions,
@@ -214,17 +215,32 @@ def clean_arrays(
         device=device,
         seed=seed,
         precision=precision,
-        vertex_iterations=vertex_iterations,
+        vertex_iterations=config.vertex_iterations,
         boundary=boundary,
         stages=stages,
     )
     last = deque(passes, maxlen=1).pop()
-    normals = refined(topology, last.vertices, last.prediction, refinement, stages.ask)
-    vertices = _geom.update_vertices(
-        topology, last.vertices, normals, vertex_iterations, boundary, progress=stages.ask
-    )
-    if cascade.config.keep_detail:
-        vertices = _geom.keep_detail(topology, start.positions, vertices)
+    vertices = _moved(topology, start.positions, last, config, boundary, stages)
     overlaps = last.stage.coverage is not None
     confidence = agreement(topology, last.prediction.spread) if overlaps else None
     return Cleaned(start.way_back(vertices), confidence)
+
+
+def _moved(
+    topology: _geom.Topology,
+    first: NDArray[np.float64],
+    last: Pass,
+    config: CascadeConfig,
+    boundary: Literal["free", "along", "fixed"],
+    stages: Stages,
+) -> NDArray[np.float64]:
+    """Positions (V, 3) after the last pass (paper Sec. 6): normals refined, vertices moved to them, detail back."""
+    normals, iterations = last.prediction.normals, config.vertex_iterations
+    if not config.refinement.flat_only or is_flat(topology, last.vertices):
+        normals = refined(topology, last.vertices, last.prediction, config.refinement, stages.ask)
+    vertices = _geom.update_vertices(
+        topology, last.vertices, normals, iterations, boundary, progress=stages.ask
+    )
+    if config.fit_vertices and iterations:
+        vertices = _geom.fit_vertices(topology, vertices, normals, first, boundary, progress=stages.ask)
+    return _geom.keep_detail(topology, first, vertices) if config.keep_detail else vertices

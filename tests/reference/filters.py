@@ -86,6 +86,45 @@ def update_vertices(vertices: Floats, faces: Ints, normals: Floats, iterations: 
     return current
 
 
+def fit_vertices(vertices: Floats, faces: Ints, normals: Floats, first: Floats) -> tuple[Floats, Floats]:
+    """The least E of `fit_vertices`, edge by edge, then vertex by vertex, as one dense system.
+
+    Returns its solution (V, 3) and its matrix (3 V, 3 V), by which E grows around it.
+    """
+    n = len(vertices)
+    mean_edge = np.mean([np.linalg.norm(vertices[a] - vertices[b]) for a, b in edges_once(faces)])
+    x, r = vertices / mean_edge, first / mean_edge
+    corners = x[faces]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    matrix, means = np.zeros((3 * n, 3 * n)), np.zeros((n, 3))
+    for face, normal, area in zip(faces, normals, areas, strict=True):
+        for k in range(3):
+            i, j, opposite = face[k], face[(k + 1) % 3], face[(k + 2) % 3]
+            half_cot = (x[i] - x[opposite]) @ (x[j] - x[opposite]) / (4 * area)
+            for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+                block = np.s_[3 * a : 3 * a + 3, 3 * b : 3 * b + 3]
+                matrix[block] += sign * half_cot * np.outer(normal, normal)
+            means[i] += area * normal
+    heights = np.empty(n)
+    for i in range(n):
+        length = np.linalg.norm(means[i])
+        means[i] = means[i] / length if length > 0 else 0.0
+        heights[i] = means[i] @ (r - x)[i]
+    sizes = np.sort(np.abs(heights[np.unique(faces)]))
+    sigma = 1.4826 * sizes[(len(sizes) - 1) // 2]
+    right = np.zeros(3 * n)
+    for i in range(n):
+        pull = 0.0026 / max(sigma, 0.02) / (1 + (heights[i] / (3 * sigma)) ** 2)
+        along = np.outer(means[i], means[i])
+        hold = pull * along + 0.13 * (np.eye(3) - along)
+        matrix[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += hold
+        right[3 * i : 3 * i + 3] = hold @ r[i]
+    fitted = np.linalg.solve(matrix, right).reshape(n, 3) * mean_edge
+    alone = np.setdiff1d(np.arange(n), faces)
+    fitted[alone] = vertices[alone]
+    return fitted, matrix
+
+
 def keep_detail(vertices: Floats, faces: Ints, moved: Floats) -> Floats:
     """Steps back where they are larger than elsewhere and alike from vertex to vertex, a vertex at a time."""
     lengths = [np.linalg.norm(vertices[f[k]] - vertices[f[k - 1]]) for f in edges_once(faces) for k in (1,)]

@@ -23,6 +23,7 @@ from fuzz_core import (
     refinement,
     remeshing,
     topology,
+    vertex_fit,
     vertex_update,
     weld,
 )
@@ -41,6 +42,7 @@ CASES: dict[str, Case] = {
     "core: patches": patches,
     "core: averages, cover": averages,
     "core: refinement": refinement,
+    "core: vertex fit": vertex_fit,
     "core: vertex update": vertex_update,
     "core: detail": detail,
     "core: remesh": remeshing,

@@ -205,6 +205,17 @@ def vertex_update(rng: Rng, _: Path) -> bool:
     return True
 
 
+def vertex_fit(rng: Rng, _: Path) -> bool:
+    vertices, faces = wild.mesh(rng)
+    normals = wild.normals(rng, len(faces))
+    first = vertices + rng.normal(size=vertices.shape) * 10.0 ** rng.uniform(-6, 2)
+    with refusals(*CORE_REFUSALS):
+        found = _geom.fit_vertices(topology_of(vertices, faces), vertices, normals, first)
+    assert found.shape == vertices.shape
+    finite(found)
+    return True
+
+
 def detail(rng: Rng, _: Path) -> bool:
     vertices, faces = wild.mesh(rng)
     moved = vertices + rng.normal(size=vertices.shape) * 10.0 ** rng.uniform(-6, 2)

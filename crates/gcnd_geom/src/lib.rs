@@ -16,6 +16,7 @@
 //! | the network's CPU kernels | [`kernels`] | Sec. 5.1, Eq. 4 |
 //! | normal refinement | [`normals`] | Sec. 6.1, Eq. 5 |
 //! | vertex updating | [`vertex_update`] | Sec. 6.2, Eq. 6 |
+//! | vertices between both | [`vertex_fit`] | Eq. 6, other weights |
 //! | detail under weak noise | [`keep_detail`] | – |
 //! | E_a, E_v | [`metrics`] | Sec. 7.2, Eqs. 7–8 |
 //!
@@ -44,6 +45,7 @@ pub(crate) mod rim;
 pub mod smoothing;
 pub mod spikes;
 pub mod topology;
+pub mod vertex_fit;
 pub mod vertex_update;
 pub mod watch;
 

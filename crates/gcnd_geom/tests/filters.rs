@@ -4,6 +4,7 @@ use gcnd_geom::face_geometry::FaceGeometry;
 use gcnd_geom::fixtures::{self, MeshParts};
 use gcnd_geom::metrics::{angles, normal_error, vertex_error};
 use gcnd_geom::normals::{Neighborhood, RefineParams, refine_normals};
+use gcnd_geom::vertex_fit::fit_vertices;
 use gcnd_geom::vertex_update::{Boundary, update_vertices};
 use gcnd_geom::{DMat3, DVec3, Face, GeomError, Topology, Watch};
 use proptest::prelude::*;
@@ -76,6 +77,11 @@ fn updated(mesh: &MeshParts, normals: &[DVec3], iterations: usize) -> Vec<DVec3>
         .expect("valid")
 }
 
+fn fitted(mesh: &MeshParts, normals: &[DVec3], first: &[DVec3]) -> Vec<DVec3> {
+    fit_vertices(&topology(mesh), &mesh.0, normals, first, Boundary::Along, &mut Watch::silent())
+        .expect("valid")
+}
+
 fn largest_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
 }
@@ -138,6 +144,12 @@ proptest! {
         prop_assert!(largest_distance(&refined(&turned, &turn(&normals), &params), &turn(&target)) < 1e-12);
         let moved = updated(&mesh, &target, 10);
         prop_assert!(largest_distance(&updated(&turned, &turn(&target), 10), &turn(&moved)) < 1e-12);
+        let at_moved = |vertices: &[DVec3]| (vertices.to_vec(), mesh.1.clone());
+        let near = fitted(&at_moved(&moved), &target, &mesh.0);
+        let turned_near = fitted(&at_moved(&turn(&moved)), &turn(&target), &turned.0);
+        let off = largest_distance(&turned_near, &turn(&near));
+        // The solver stops at 1e-12 of the first residual.
+        prop_assert!(off < 1e-6, "{off}");
     }
 
     #[test]
@@ -157,6 +169,9 @@ proptest! {
             prop_assert!(*n == DVec3::ZERO || (length - 1.0).abs() < 1e-14, "{n}");
         }
         for v in updated(&mesh, &result, 15) {
+            prop_assert!(v.is_finite());
+        }
+        for v in fitted(&mesh, &result, &mesh.0) {
             prop_assert!(v.is_finite());
         }
     }

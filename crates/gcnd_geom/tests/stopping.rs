@@ -8,6 +8,7 @@ use gcnd_geom::normals::{
 };
 use gcnd_geom::patch::{PatchExtractor, PatchParams};
 use gcnd_geom::smoothing::{L0Params, l0};
+use gcnd_geom::vertex_fit::{self, fit_vertices};
 use gcnd_geom::vertex_update::{Boundary, update_vertices};
 use gcnd_geom::{DVec3, GeomError, Result, Topology, Watch};
 use std::ops::ControlFlow;
@@ -132,6 +133,14 @@ fn vertex_updating_asks_after_every_iteration() {
             update_vertices(&topology, &vertices, &normals, iterations, Boundary::Along, watch).map(drop)
         });
     }
+}
+
+#[test]
+fn fitting_vertices_asks_after_every_step() {
+    let Noisy { topology, vertices, normals } = noisy();
+    assert_stops_anywhere(vertex_fit::ITERATIONS, |watch| {
+        fit_vertices(&topology, &vertices, &normals, &vertices, Boundary::Along, watch).map(drop)
+    });
 }
 
 #[test]

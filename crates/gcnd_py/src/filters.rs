@@ -6,6 +6,7 @@ use crate::mesh::PyTopology;
 use crate::watched::watched;
 use gcnd_geom::normals::{AdaptiveParams, Neighborhood, RefineParams};
 use gcnd_geom::remesh::RemeshParams;
+use gcnd_geom::vertex_fit;
 use gcnd_geom::vertex_update::{self, Boundary};
 use gcnd_geom::{face_geometry, metrics, normals};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1};
@@ -101,6 +102,26 @@ pub fn update_vertices<'py>(
         vertex_update::update_vertices(topology, vertices, normals, iterations, boundary, watch)
     })?;
     arrays::triples(py, updated)
+}
+
+#[pyfunction]
+#[pyo3(signature = (topology, vertices, normals, first, boundary="free", *, progress=None))]
+pub fn fit_vertices<'py>(
+    py: Python<'py>,
+    topology: &PyTopology,
+    vertices: Points<'py>,
+    normals: Points<'py>,
+    first: Points<'py>,
+    boundary: &str,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let boundary = boundary_from(boundary)?;
+    let (vertices, normals) = (arrays::points("vertices", &vertices)?, arrays::points("normals", &normals)?);
+    let (topology, first) = (&topology.inner, arrays::points("first", &first)?);
+    let fitted = watched(py, progress, |watch| {
+        vertex_fit::fit_vertices(topology, vertices, normals, first, boundary, watch)
+    })?;
+    arrays::triples(py, fitted)
 }
 
 #[pyfunction]

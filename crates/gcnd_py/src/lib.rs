@@ -21,8 +21,8 @@ mod _geom {
     };
     #[pymodule_export]
     use super::filters::{
-        keep_detail, mean_edge_length, normal_angles, refine_consistent, refine_normals, remesh,
-        update_vertices, vertex_error,
+        fit_vertices, keep_detail, mean_edge_length, normal_angles, refine_consistent, refine_normals,
+        remesh, update_vertices, vertex_error,
     };
     #[pymodule_export]
     use super::kernels::{

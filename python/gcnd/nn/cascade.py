@@ -153,17 +153,21 @@ class RefinementConfig:
             Choice: docs/choices.md#refinement.
         largest_spread: What overlapping predictions disagree by counts at most this much, in radians; where they
             disagree by more, it is detail that they disagree about. ``None`` sets no limit.
+        flat_only: Refine only meshes that are flat for a good part. Choice: docs/choices.md#flat-meshes.
     """
 
     iterations: int = 1
     sigma_r: float = 0.3
     tolerance: float | None = None
     largest_spread: float | None = None
+    flat_only: bool = False
 
     def __post_init__(self) -> None:
         check_whole("iterations", self.iterations, 0, MOST_ITERATIONS)
         if not 0 < self.sigma_r < float("inf"):
             raise ConfigError(f"sigma_r is {self.sigma_r}, allowed: above 0")
+        if not isinstance(self.flat_only, bool):
+            raise ConfigError(f"flat_only is {self.flat_only!r}, allowed: True or False")
         if self.tolerance is not None and not self.tolerance >= 0:
             raise ConfigError(f"tolerance is {self.tolerance}, allowed: 0 or more, or none")
         if self.largest_spread is not None and not self.largest_spread > 0:
@@ -178,6 +182,8 @@ class CascadeConfig:
         stages: In the order in which they run.
         refinement: Of the last stage's normals.
         vertex_iterations: Iterations of Eq. 6 after every pass.
+        fit_vertices: Whether the last update is followed by one that weighs normals against the first positions; see
+            ``_geom.fit_vertices``. Choice: docs/choices.md#vertex-fit.
         keep_detail: Whether detail that was taken away with weak noise comes back; see ``_geom.keep_detail``.
         flat_passes: Passes of the last stage more on a mesh that is flat for a good part, before its last.
             It is looked for after the last pass but one, so that a cascade of one pass has none.
@@ -189,12 +195,14 @@ class CascadeConfig:
     vertex_iterations: int = VERTEX_ITERATIONS
     keep_detail: bool = False
     flat_passes: int = 0
+    fit_vertices: bool = False
 
     def __post_init__(self) -> None:
         check_whole("vertex_iterations", self.vertex_iterations, 0, MOST_ITERATIONS)
         check_whole("flat_passes", self.flat_passes, 0, MOST_PASSES)
-        if not isinstance(self.keep_detail, bool):
-            raise ConfigError(f"keep_detail is {self.keep_detail!r}, allowed: True or False")
+        for name in ("keep_detail", "fit_vertices"):
+            if not isinstance(getattr(self, name), bool):
+                raise ConfigError(f"{name} is {getattr(self, name)!r}, allowed: True or False")
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the configuration as JSON-ready values."""
@@ -210,6 +218,7 @@ class CascadeConfig:
                 vertex_iterations=values["vertex_iterations"],
                 keep_detail=values.get("keep_detail", False),
                 flat_passes=values.get("flat_passes", 0),
+                fit_vertices=values.get("fit_vertices", False),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"cascade configuration does not fit: {error}") from error
@@ -250,10 +259,12 @@ class Cascade(nn.Module):
         vertex_iterations: int = VERTEX_ITERATIONS,
         keep_detail: bool = False,
         flat_passes: int = 0,
+        fit_vertices: bool = False,
     ) -> Cascade:
         """Makes a cascade with a copy of the weights of networks that were trained one after the other."""
         configs = tuple(config for config, _ in stages)
-        cascade = cls(CascadeConfig(configs, refinement, vertex_iterations, keep_detail, flat_passes))
+        after = (refinement, vertex_iterations, keep_detail, flat_passes, fit_vertices)
+        cascade = cls(CascadeConfig(configs, *after))
         for own, (_, network) in zip(cascade.stages, stages, strict=True):
             own.load_state_dict(network.state_dict())
         return cascade

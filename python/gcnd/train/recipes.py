@@ -48,6 +48,7 @@ class Recipe:
         vertex_iterations: Of Eq. 6 after every pass.
         keep_detail: Whether detail that was taken away with weak noise comes back.
         flat_passes: Passes of the last stage more on flat meshes; see `gcnd.nn.cascade.CascadeConfig`.
+        fit_vertices: Whether the first positions count in the last update; see `gcnd.nn.cascade.CascadeConfig`.
         most_stages: Where above the number of ``stages``, more like the last follow, up to so many, while each lowers
             the error of the validation meshes (`gcnd.train.further`).
     """
@@ -65,11 +66,16 @@ class Recipe:
     vertex_iterations: int = VERTEX_ITERATIONS
     keep_detail: bool = False
     flat_passes: int = 0
+    fit_vertices: bool = False
     most_stages: int = 0
 
 
 REFINE_WHERE_CONSISTENT = RefinementConfig(iterations=12, sigma_r=0.15, tolerance=3.0, largest_spread=0.03)
 """Twelve iterations, but only where overlapping predictions agree (docs/experiments.md#where-to-refine)."""
+
+
+REFINE_FLAT = replace(REFINE_WHERE_CONSISTENT, flat_only=True)
+"""On other meshes the fit of the vertices does what refinement did, and better (docs/experiments.md#vertex-fit)."""
 
 
 OUR_PATCH = PatchConfig(scale_space=True, roughness=True)
@@ -112,9 +118,10 @@ def _default(*steps: int, later: NetworkConfig = DEFAULT_LATER_NETWORK) -> Recip
             TrainConfig(_later(later, 2.0, 1.0), steps=steps[1], lr=1e-3, seed=1),
         ),
         pool_size=400,
-        refinement=REFINE_WHERE_CONSISTENT,
+        refinement=REFINE_FLAT,
         keep_detail=True,
         flat_passes=1,
+        fit_vertices=True,
     )
 
 
@@ -129,8 +136,9 @@ def _fast(*steps: int) -> Recipe:
             TrainConfig(_later(FAST_LATER_NETWORK, 0.4), steps=steps[1], lr=1e-3, seed=1),
         ),
         pool_size=400,
-        refinement=replace(REFINE_WHERE_CONSISTENT, iterations=4),
+        refinement=REFINE_FLAT,
         keep_detail=True,
+        fit_vertices=True,
     )
 
 

@@ -112,7 +112,12 @@ class TrainingRun:
                 break
             trained.append(stage)
         cascade = Cascade.assembled(
-            trained, recipe.refinement, recipe.vertex_iterations, recipe.keep_detail, recipe.flat_passes
+            trained,
+            recipe.refinement,
+            recipe.vertex_iterations,
+            recipe.keep_detail,
+            recipe.flat_passes,
+            recipe.fit_vertices,
         )
         out = self.folder / f"{self.recipe.name}.safetensors"
         if self.is_first:
