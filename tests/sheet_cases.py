@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from gcnd import _geom
 from gcnd.denoise import Boundary, denoise_arrays
 from gcnd.weights import load_cascade
+
+if TYPE_CHECKING:
+    from gcnd.nn.cascade import Cascade
 
 Points: TypeAlias = NDArray[np.float64]
 Faces: TypeAlias = NDArray[np.uint32]
@@ -40,12 +43,15 @@ def with_noise(vertices: Points, seed: int, level: float | Points = NOISE) -> Po
 
 
 @cache
-def fast_weights() -> object:
-    return load_cascade("fast")
+def shipped_weights(preset: str) -> Cascade:
+    return load_cascade(preset)
 
 
-def cleaned(vertices: Points, faces: Faces, boundary: Boundary = "along", seed: int = 0) -> Points:
-    return denoise_arrays(vertices, np.ascontiguousarray(faces), fast_weights(), boundary=boundary, seed=seed)  # type: ignore[arg-type]
+def cleaned(
+    vertices: Points, faces: Faces, boundary: Boundary = "along", seed: int = 0, *, preset: str = "fast"
+) -> Points:
+    weights = shipped_weights(preset)
+    return denoise_arrays(vertices, np.ascontiguousarray(faces), weights, boundary=boundary, seed=seed)
 
 
 def angles(result: Points, truth: Points, faces: Faces) -> Points:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gcnd.errors import MeshError
 
-__all__ = ["available_bytes", "check_memory", "filter_bytes_a_face", "needed_bytes"]
+__all__ = ["available_bytes", "check_memory", "filter_bytes_a_face", "needed_bytes", "nodes_that_fit"]
 
 BYTES_A_FACE = 700
 """A face of a mesh in work: 575 measured between 100,000 and 1,000,000 faces (docs/limits.md), and a fifth."""
@@ -15,6 +15,9 @@ BYTES_A_FACE = 700
 BYTES_OF_FACTORS = {"l0": 140, "tgv": 350}
 """Filters that factorise systems: a face takes so many bytes times the binary logarithm of the number of faces, a fifth
 and more above what was measured (docs/limits.md)."""
+
+SHARE_OF_BATCHES = 0.25
+"""Of the free memory, what the batches of all threads may take together; a mesh takes the rest."""
 
 _MEMINFO, _CGROUP = Path("/proc/meminfo"), Path("/sys/fs/cgroup")
 
@@ -99,3 +102,25 @@ def check_memory(n_vertices: int, n_faces: int, bytes_a_face: int = BYTES_A_FACE
             f"{n_faces:,} faces need about {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free",
             "close other programs, cut the mesh into parts, or use a machine with more memory",
         )
+
+
+def nodes_that_fit(wanted: int, fewest: int, bytes_a_node: int, n_threads: int) -> int:
+    """Halves a batch until those of all threads fit into a fourth of the free memory.
+
+    Args:
+        wanted: Nodes that a thread takes through a network at once where there is room.
+        fewest: Nodes of one patch, below which nothing is halved.
+        bytes_a_node: That the network takes.
+        n_threads: That each take a batch.
+
+    Returns:
+        Nodes a batch; ``wanted`` where the system does not say how much is free.
+
+    Example:
+        >>> nodes_that_fit(4096, 64, 5000, 1)
+        4096
+    """
+    free = available_bytes()
+    while free is not None and wanted > fewest and wanted * bytes_a_node * n_threads > SHARE_OF_BATCHES * free:
+        wanted //= 2
+    return max(wanted, fewest)

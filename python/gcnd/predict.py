@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from gcnd import _geom
+from gcnd.memory import nodes_that_fit
 from gcnd.neighbors import sum_across_edges
 from gcnd.nn.cascade import PatchConfig, RefinementConfig, StageConfig
 from gcnd.nn.fold import Precision, for_inference
@@ -263,7 +264,8 @@ class PatchPredictor:
     """Cuts patches and runs a network on them, on the CPU in as many threads as torch has.
 
     Every thread takes batches of its own through the linear layers, so that nobody waits for others between layers
-    and small batches stay in the caches; extraction and the native kernels share rayon's threads.
+    and small batches stay in the caches; extraction and the native kernels share rayon's threads. Where memory is short,
+    batches are smaller, here by what is free and elsewhere by trying.
     """
 
     def __init__(
@@ -274,7 +276,10 @@ class PatchPredictor:
         device: torch.device,
     ):
         self.extractor, self.network, self.patch, self.device = extractor, network, stage.patch, device
-        self.batch = max(1, PATCH_NODES_A_BATCH[device.type] // stage.patch.n_nodes)
+        nodes, n_nodes = PATCH_NODES_A_BATCH[device.type], stage.patch.n_nodes
+        if device.type == "cpu":
+            nodes = nodes_that_fit(nodes, n_nodes, stage.network.bytes_a_node, torch.get_num_threads())
+        self.batch = max(1, nodes // n_nodes)
         self.pool = _single_threads() if device.type == "cpu" else ThreadPoolExecutor(1)
 
     def __enter__(self) -> PatchPredictor:

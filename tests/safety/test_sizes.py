@@ -15,11 +15,13 @@ import pytest
 import trimesh
 from fuzz_surface import tiny_cascade, tiny_weights
 
-from gcnd import filters, memory
+import gcnd
+from gcnd import filters, memory, predict
 from gcnd.errors import MeshError, WeightsError
 from gcnd.filters import apply_filter
 from gcnd.mesh_io import load, save
 from gcnd.meshes.arrays import checked
+from gcnd.predict import PatchPredictor
 from gcnd.weights import load_cascade
 from gcnd.weights.files import load_tensors, save_tensors
 
@@ -161,6 +163,35 @@ def test_memory_that_is_missing_is_told_before_the_work(monkeypatch: pytest.Monk
     assert "taubin" not in told
     monkeypatch.setattr(memory, "available_bytes", lambda: None)
     assert len(apply_filter(ball, "taubin").faces) == 1280
+
+
+def test_batches_are_halved_until_those_of_all_threads_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "available_bytes", lambda: 80_000_000)
+    # A fourth is 20 MB: 4,096 nodes of 5,000 bytes are 20.5 MB.
+    assert [memory.nodes_that_fit(4096, 64, 5000, threads) for threads in (1, 2, 8)] == [2048, 1024, 256]
+    assert memory.nodes_that_fit(4096, 64, 4000, 1) == 4096
+    assert memory.nodes_that_fit(4096, 64, 10**9, 1) == 64
+    monkeypatch.setattr(memory, "available_bytes", lambda: None)
+    assert memory.nodes_that_fit(4096, 64, 10**9, 1) == 4096
+
+
+def test_a_mesh_is_denoised_in_smaller_batches_where_memory_is_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    batches: list[int] = []
+
+    class Watched(PatchPredictor):
+        def __init__(self, *args: Any) -> None:
+            super().__init__(*args)
+            batches.append(self.batch)
+
+    monkeypatch.setattr(predict, "PatchPredictor", Watched)
+    results = []
+    for free in (None, 1_000_000):
+        monkeypatch.setattr(memory, "available_bytes", lambda free=free: free)
+        results.append(gcnd.denoise(ball, preset="fast").vertices)
+    assert set(batches[:3]) == {64}
+    assert set(batches[3:]) == {1}
+    np.testing.assert_allclose(*results, rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize(

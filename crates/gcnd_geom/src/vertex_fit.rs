@@ -61,7 +61,7 @@ const CHUNK: usize = 4096;
 /// [`crate::GeomError::LengthMismatch`], [`crate::GeomError::NonFiniteVertex`],
 /// [`crate::GeomError::InvalidParameter`] for a normal that is NaN or infinite, or [`crate::GeomError::Cancelled`].
 ///
-/// Paper: Sec. 6.2, Eq. 6, with the cotangent weights of Pinkall and Polthier 1993.
+/// Paper: Sec. 6.2, Eq. 6; cotangent weights: `pinkall1993`.
 /// Choice: docs/choices.md#vertex-fit.
 ///
 /// ```

@@ -81,6 +81,13 @@ class NetworkConfig:
         """Whether the network returns a normal for every node, not only for the centre."""
         return self.architecture.endswith("nodes")
 
+    @property
+    def bytes_a_node(self) -> int:
+        """What a run of the network takes for a node: a float32 for each channel of every layer, half as much again as
+        was measured (docs/limits.md)."""
+        layers = (*self.static_channels, *self.dynamic_channels, self.pool_channels, *self.head_channels)
+        return 4 * sum(layers)
+
     def to_dict(self) -> dict[str, Any]:
         """Returns the configuration as JSON-ready values."""
         return asdict(self)
