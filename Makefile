@@ -6,7 +6,7 @@ RUST_SOURCES := $(shell find crates -name '*.rs' -o -name Cargo.toml) Cargo.toml
 MODULE := python/gcnd/_geom.abi3.so
 WHEEL_OPTIONS := $(if $(filter Linux,$(shell uname -s)),--zig --compatibility manylinux_2_28)
 
-.PHONY: demo test test-rust test-python lint bench train docs licences wheel check-wheel blender audit clean
+.PHONY: demo test test-rust test-python test-large lint bench train docs licences wheel check-wheel blender audit clean
 .DEFAULT_GOAL := demo
 
 # The virtual environment with everything that pyproject.toml names, once.
@@ -32,6 +32,9 @@ test-rust:
 test-python: $(MODULE)
 	$(BIN)/python -m pytest
 	$(BIN)/python -m pytest --doctest-modules --quiet python/gcnd
+
+test-large: $(MODULE)  ## ten million faces: some minutes and 6 GB of memory
+	GCND_LARGE=1 $(BIN)/python -m pytest tests/test_memory_limit.py
 
 lint: $(MODULE)
 	cargo fmt --all --check

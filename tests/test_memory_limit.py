@@ -70,6 +70,13 @@ def test_a_mesh_takes_no_more_than_is_stated(preset: str, sides: tuple[int, int]
     assert large > 0.3 * program
 
 
+@pytest.mark.skipif("GCND_LARGE" not in os.environ, reason="takes some minutes and 6 GB: make test-large")
+def test_ten_million_faces_take_less_than_twelve_gigabytes() -> None:
+    faces, peak = measured(2237, "fast")
+    assert faces > 10_000_000
+    assert peak < 6e9, f"{faces:,} faces took {peak / 1e9:.1f} GB beside the code"
+
+
 def test_what_is_foreseen_is_what_is_stated() -> None:
     for method, bytes_a_face in BYTES_OF_FACTORS.items():
         assert stated(rf"`{method}` at ([\d,]+) bytes a face") == bytes_a_face
