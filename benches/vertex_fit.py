@@ -9,6 +9,7 @@ benches/accuracy.py says how accurate the weights are, on others. DIR holds mesh
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from accuracy import Truth, clean_meshes
@@ -19,13 +20,11 @@ from gcnd import _geom
 from gcnd.data.noise import NoiseKind, add_noise
 from gcnd.metrics import normal_error
 from gcnd.nn.cascade import Cascade
-from gcnd.passes import is_flat
 from gcnd.predict import refined
 from gcnd.train.corpus import VALIDATION_SEED, generated_shapes
 from gcnd.weights import load_cascade
 
 NOISE_SEED = 11
-REFINED = ("never", "flat meshes", "always")
 NOISES: tuple[tuple[NoiseKind, float], ...] = (
     ("gaussian", 0.02),
     ("gaussian", 0.1),
@@ -41,11 +40,16 @@ def variants(truth: Truth, noisy: np.ndarray, cascade: Cascade) -> Iterator[tupl
     """Yields E_a in degrees of every variant, with its name."""
     topology, config = _geom.Topology(truth.faces, len(noisy)), cascade.config
     vertices, prediction = last_prediction(topology, noisy, cascade)
-    smooth = refined(topology, vertices, prediction, config.refinement)
-    flat = is_flat(topology, vertices)
-    for where, normals in zip(
-        REFINED, (prediction.normals, smooth if flat else prediction.normals, smooth), strict=True
+    for where, refinement in zip(
+        ("never", "flat meshes", "always"),
+        (
+            replace(config.refinement, iterations=0),
+            replace(config.refinement, flat_only=True),
+            replace(config.refinement, flat_only=False),
+        ),
+        strict=True,
     ):
+        normals = refined(topology, vertices, prediction, refinement)
         moved = _geom.update_vertices(topology, vertices, normals, config.vertex_iterations, "along")
         fitted = _geom.fit_vertices(topology, moved, normals, noisy, "along")
         for name, result in (("Eq. 6", moved), ("Eq. 6, fit", fitted)):

@@ -94,6 +94,30 @@ def test_detail_comes_back_where_the_weights_say_so(keeps: bool, monkeypatch: py
     np.testing.assert_allclose(moved, (plain + VERTICES) / 2 if keeps else plain, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize(("fits", "iterations"), [(False, 15), (True, 15), (True, 0)])
+def test_vertices_are_fitted_once_after_the_last_update_where_the_weights_say_so(
+    fits: bool, iterations: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = denoise_arrays(VERTICES, FACES, random_cascade(), vertex_iterations=iterations, boundary="fixed")
+    given: list[Any] = []
+
+    def fitted(_: _geom.Topology, vertices: Any, normals: Any, first: Any, boundary: str, **__: Any) -> Any:
+        given.append((vertices, len(normals), first, boundary))
+        return vertices + 1.0
+
+    monkeypatch.setattr(_geom, "fit_vertices", fitted)
+    cascade = random_cascade(replace(CONFIG, fit_vertices=fits))
+    moved = denoise_arrays(VERTICES, FACES, cascade, vertex_iterations=iterations, boundary="fixed")
+    if not (fits and iterations):
+        assert not given
+        assert np.array_equal(moved, plain)
+        return
+    ((vertices, n_normals, first, boundary),) = given
+    assert (n_normals, boundary) == (len(FACES), "fixed")
+    np.testing.assert_allclose(moved, plain + 1.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(vertices - first, plain - VERTICES, rtol=0, atol=1e-12)
+
+
 def labels_of(vertices: Any, faces: Any, cascade: Any) -> list[str]:
     """What a run tells that it is doing, and that its progress never goes back."""
     calls: list[tuple[float, str]] = []

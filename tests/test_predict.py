@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import gcnd.predict
 from gcnd import _geom, passes
 from gcnd.denoise import denoise_arrays
 from gcnd.errors import ConfigError
+from gcnd.flat import is_flat
 from gcnd.nn.cascade import Cascade, CascadeConfig, PatchConfig, RefinementConfig, StageConfig
 from gcnd.nn.networks import NORMAL, NetworkConfig
 from gcnd.predict import Prediction, predict_normals, refined
@@ -157,6 +159,37 @@ def test_a_limit_on_the_spread_keeps_normals_that_predictions_disagree_about() -
     assert moved(tolerance=3.0) > 0.95 * everywhere
     assert moved(tolerance=3.0, largest_spread=0.5) == moved(tolerance=3.0)
     assert moved(tolerance=3.0, largest_spread=0.03) < 0.05 * everywhere
+
+
+def test_flat_meshes_alone_are_refined_where_that_is_asked_for() -> None:
+    rng = np.random.default_rng(0)
+    config = RefinementConfig(iterations=4, sigma_r=0.5)
+    box = trimesh.creation.box().subdivide().subdivide()
+    for mesh, is_refined in ((box, True), (BALL, False)):
+        topology = _geom.Topology(mesh.faces.astype(np.uint32), len(mesh.vertices))
+        rough = mesh.face_normals + 0.2 * rng.standard_normal(mesh.face_normals.shape)
+        prediction = Prediction(rough, np.zeros(len(rough)))
+        always, flat_only = (
+            refined(topology, np.asarray(mesh.vertices), prediction, each)
+            for each in (config, replace(config, flat_only=True))
+        )
+        assert np.array_equal(flat_only, always if is_refined else rough)
+        assert not np.array_equal(always, rough)
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.2999, False), (0.3, True), (1.0, True)])
+def test_a_mesh_is_flat_where_three_tenths_of_its_edges_turn_by_no_more_than_a_degree(
+    share: float, expected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+
+    def given(_topology: object, _vertices: object, angle: float) -> float:
+        asked.append(np.degrees(angle))
+        return share
+
+    monkeypatch.setattr(_geom, "flat_share", given)
+    assert is_flat(TOPOLOGY, VERTICES) == expected
+    assert asked == [pytest.approx(1.0)]
 
 
 class LastFeature(nn.Module):

@@ -93,10 +93,10 @@ def test_slivers_leave_their_neighbours_alone(shipped: str, undisturbed: np.ndar
     found, distance = angles(result, truth, faces), distance_to(truth[new], truth, faces)
     is_sliver = np.isin(np.arange(len(faces)), len(FACES) - len(split) + np.arange(len(split)))
     near = (distance < 1.5) & ~is_sliver
-    share, way = {"fast": (1.2, 0.15), "scan": (1.5, 0.012)}[shipped]
+    share, same_place, way = {"fast": (1.2, 1.35, 0.15), "scan": (1.5, 1.1, 0.012)}[shipped]
     assert found[near].mean() < share * found[(distance >= 1.5) & ~is_sliver].mean()
     assert found[near].mean() < 1.2 * undisturbed.mean()
-    assert found[near].mean() < 1.2 * undisturbed[distance_to(truth[new], TRUTH, FACES) < 1.5].mean()
+    assert found[near].mean() < same_place * undisturbed[distance_to(truth[new], TRUTH, FACES) < 1.5].mean()
     # And the vertices that make them stay between those that they stood between.
     assert np.linalg.norm(result[new] - result[[a, b]].mean(axis=0), axis=1).max() < way
 
@@ -128,14 +128,17 @@ def test_holes_stay_holes(shipped: str) -> None:
     result, unbroken = (cleaned(NOISY, f, preset=shipped) for f in (faces, FACES))
     loops = rim_loops(faces)
     assert len(loops) == 4
-    in_plane, in_height, length_share = {"fast": (0.06, 0.5, 0.01), "scan": (0.13, 0.75, 0.003)}[shipped]
+    in_height, length_share = {"fast": (0.5, 0.01), "scan": (0.75, 0.003)}[shipped]
     for loop in loops:
+        is_outline = 0 in loop
         way = (result - TRUTH)[loop]
         # In the plane no vertex leaves the outline, and in height most of the noise goes.
-        assert np.linalg.norm(way[:, :2], axis=1).max() < in_plane
+        assert (
+            np.linalg.norm(way[:, :2], axis=1).max()
+            < {"fast": 0.06, "scan": 0.13 if is_outline else 0.025}[shipped]
+        )
         # But the straight outline `scan` bends towards the back, corners by 0.4 edges, with holes as without.
-        is_bent = shipped == "scan" and 0 in loop
-        start, share = (unbroken, 1.2) if is_bent else (NOISY, in_height)
+        start, share = (unbroken, 1.2) if shipped == "scan" and is_outline else (NOISY, in_height)
         assert np.sqrt((way[:, 2] ** 2).mean()) < share * np.sqrt(((start - TRUTH)[loop, 2] ** 2).mean())
         length, true_length = (
             np.linalg.norm(v[loop] - np.roll(v[loop], -1, axis=0), axis=1).sum() for v in (result, TRUTH)
@@ -225,5 +228,4 @@ def test_the_sheets_of_a_thin_wall_do_not_see_each_other(shipped: str) -> None:
     """Sheets that almost touch go where those a hundred edges apart go."""
     (thin, faces), (wide, _) = thin_wall(0.15, 0.2), thin_wall(100.0, 0.2)
     ways = [cleaned(noisy, faces, preset=shipped) - noisy for noisy in (thin, wide)]
-    print(shipped, abs(ways[0] - ways[1]).max())
-    np.testing.assert_allclose(ways[0], ways[1], atol=1e-5)
+    np.testing.assert_allclose(ways[0], ways[1], atol=1e-9)

@@ -16,7 +16,7 @@ from gcnd import _geom
 from gcnd.auto import AUTO
 from gcnd.controls import Controls
 from gcnd.errors import check_progress
-from gcnd.passes import Pass, is_flat, run_passes
+from gcnd.passes import Pass, run_passes
 from gcnd.predict import agreement, refined, settle_threads
 from gcnd.stages import Progress, Stages
 from gcnd.start import Start
@@ -235,9 +235,8 @@ def _moved(
     stages: Stages,
 ) -> NDArray[np.float64]:
     """Positions (V, 3) after the last pass (paper Sec. 6): normals refined, vertices moved to them, detail back."""
-    normals, iterations = last.prediction.normals, config.vertex_iterations
-    if not config.refinement.flat_only or is_flat(topology, last.vertices):
-        normals = refined(topology, last.vertices, last.prediction, config.refinement, stages.ask)
+    iterations = config.vertex_iterations
+    normals = refined(topology, last.vertices, last.prediction, config.refinement, stages.ask)
     vertices = _geom.update_vertices(
         topology, last.vertices, normals, iterations, boundary, progress=stages.ask
     )

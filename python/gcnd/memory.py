@@ -121,6 +121,8 @@ def nodes_that_fit(wanted: int, fewest: int, bytes_a_node: int, n_threads: int) 
         4096
     """
     free = available_bytes()
-    while free is not None and wanted > fewest and wanted * bytes_a_node * n_threads > SHARE_OF_BATCHES * free:
+    while (
+        free is not None and wanted > fewest and wanted * bytes_a_node * n_threads > SHARE_OF_BATCHES * free
+    ):
         wanted //= 2
     return max(wanted, fewest)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from gcnd import _geom
-from gcnd.nn.cascade import FLAT_DEGREES, FLAT_SHARE
+from gcnd.flat import is_flat
 from gcnd.predict import Prediction, fast_precision, predict_normals
 from gcnd.stages import Stages
 
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from gcnd.nn.cascade import Cascade, StageConfig
     from gcnd.nn.fold import Precision
 
-__all__ = ["Pass", "is_flat", "run_passes"]
+__all__ = ["Pass", "run_passes"]
 
 
 class Pass(NamedTuple):
@@ -95,14 +94,6 @@ def run_passes(
         )
         if index == last_but_one and cascade.config.flat_passes and is_flat(topology, vertices):
             passes[-1:-1] = cascade.flat_passes()
-
-
-def is_flat(topology: _geom.Topology, vertices: NDArray[np.float64]) -> bool:
-    """Whether a mesh that all passes but the last have denoised is flat for a good part, as machine parts are.
-
-    Choice: docs/choices.md#flat-meshes.
-    """
-    return _geom.flat_share(topology, vertices, math.radians(FLAT_DEGREES)) >= FLAT_SHARE
 
 
 def _part(stages: Stages, done: float, share: float, label: str) -> Callable[[float], None]:

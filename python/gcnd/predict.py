@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from gcnd import _geom
+from gcnd.flat import is_flat
 from gcnd.memory import nodes_that_fit
 from gcnd.neighbors import sum_across_edges
 from gcnd.nn.cascade import PatchConfig, RefinementConfig, StageConfig
@@ -228,12 +229,15 @@ def refined(
     refinement: RefinementConfig,
     progress: Callable[[int, int], None] | None = None,
 ) -> NDArray[np.float64]:
-    """Refines predicted normals (F, 3) by Eq. 5, everywhere or where the spread of the predictions allows it.
+    """Refines predicted normals (F, 3) by Eq. 5, everywhere or where the spread of the predictions allows it, and on
+    flat meshes only where ``refinement`` says so.
 
     ``progress`` is called after each step with (step, steps in all); what it raises stops the refinement.
 
     Paper: Sec. 6.1. Choice: docs/choices.md#refinement.
     """
+    if refinement.flat_only and not is_flat(topology, vertices):
+        return prediction.normals
     m, sigma_r = refinement.iterations, refinement.sigma_r
     if refinement.tolerance is None:
         return _geom.refine_normals(
@@ -264,8 +268,8 @@ class PatchPredictor:
     """Cuts patches and runs a network on them, on the CPU in as many threads as torch has.
 
     Every thread takes batches of its own through the linear layers, so that nobody waits for others between layers
-    and small batches stay in the caches; extraction and the native kernels share rayon's threads. Where memory is short,
-    batches are smaller, here by what is free and elsewhere by trying.
+    and small batches stay in the caches; extraction and the native kernels share rayon's threads. Where memory is
+    short, batches are smaller, here by what is free and elsewhere by trying.
     """
 
     def __init__(

@@ -30,6 +30,7 @@ CONFIG = CascadeConfig(
     RefinementConfig(4, 0.15, 1.5),
     vertex_iterations=9,
     keep_detail=True,
+    fit_vertices=True,
     flat_passes=1,
 )
 
@@ -77,12 +78,13 @@ def test_a_stage_without_a_field_is_refused(field: str) -> None:
         StageConfig.from_dict(values)
 
 
-def test_weights_from_before_keep_no_detail() -> None:
+@pytest.mark.parametrize("name", ["keep_detail", "fit_vertices"])
+def test_weights_from_before_keep_no_detail_and_fit_no_vertices(name: str) -> None:
     values = CONFIG.to_dict()
-    del values["keep_detail"]
-    assert CascadeConfig.from_dict(values) == replace(CONFIG, keep_detail=False)
-    values["keep_detail"] = 1
-    with pytest.raises(ConfigError, match="keep_detail is 1, allowed: True or False"):
+    del values[name]
+    assert CascadeConfig.from_dict(values) == replace(CONFIG, **{name: False})
+    values[name] = 1
+    with pytest.raises(ConfigError, match=f"{name} is 1, allowed: True or False"):
         CascadeConfig.from_dict(values)
 
 
@@ -133,6 +135,7 @@ def test_unknown_and_misshapen_fields_are_refused() -> None:
         ({"sigma_r": float("nan")}, "sigma_r is nan"),
         ({"tolerance": -0.5}, "tolerance is -0.5"),
         ({"largest_spread": 0.0}, "largest_spread is 0.0"),
+        ({"flat_only": 1}, "flat_only is 1, allowed: True or False"),
     ],
 )
 def test_refinement_out_of_range_is_named(changed: dict[str, float], named: str) -> None:

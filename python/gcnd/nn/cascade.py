@@ -25,13 +25,6 @@ _CHOICES: dict[str, tuple[str | bool, ...]] = {
 MOST_PASSES, MOST_ITERATIONS = 100, 10_000
 """What a weights file may ask for: a run must end."""
 
-
-FLAT_SHARE, FLAT_DEGREES = 0.3, 1.0
-"""A mesh is flat for a good part where across this share of its edges it goes on in one plane, to within this angle.
-
-Choice: docs/choices.md#flat-meshes.
-"""
-
 VERTEX_ITERATIONS = 15
 """Iterations of Eq. 6 after every pass, where nothing else is said."""
 
