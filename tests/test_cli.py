@@ -124,6 +124,18 @@ def test_commands_import_nothing_heavy_until_they_run() -> None:
     assert done.stdout == "set()\n"
 
 
+@pytest.mark.skipif(os.name == "nt", reason="no such shell")
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_are_no_error(mesh_path: Path, tmp_path: Path, closed: str) -> None:
+    out = tmp_path / "out.ply"
+    command = f'"$0" -m gcnd denoise "$1" "$2" --method taubin {closed}'
+    done = subprocess.run(
+        ["sh", "-c", command, sys.executable, str(mesh_path), str(out)], check=False, timeout=120
+    )
+    assert done.returncode == 0
+    assert out.is_file()
+
+
 @pytest.mark.skipif(os.name == "nt", reason="no such pipes")
 @pytest.mark.parametrize("is_unbuffered", [False, True])
 def test_reader_that_went_away_is_no_error(mesh_path: Path, is_unbuffered: bool) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from numpy.typing import NDArray
 
@@ -170,3 +171,10 @@ def test_vertices_at_one_position_move_together(preset: str, result: NDArray[np.
 def test_a_mesh_that_cannot_be_worked_on(preset: str, vertices: Any, faces: Any, message: str) -> None:
     with pytest.raises(MeshError, match=message):
         denoise((vertices, np.array(faces)), preset=preset)
+
+
+@pytest.mark.parametrize("kind", ["sparse", "meta"])
+def test_a_tensor_without_numbers_of_its_own_is_refused(kind: str) -> None:
+    tensor = torch.tensor(VERTICES).to_sparse() if kind == "sparse" else torch.tensor(VERTICES, device="meta")
+    with pytest.raises(MeshError, match="vertices are a tensor that numpy cannot hold"):
+        denoise((tensor, FACES), preset="fast")

@@ -14,6 +14,7 @@ import pytest
 import trimesh
 
 from gcnd.errors import MeshError
+from gcnd.formats.referred import check_copies
 from gcnd.mesh_io import load, save
 from kept_cases import (
     EXPECTED,
@@ -120,6 +121,16 @@ def test_references_that_lead_out_of_the_folder_are_not_followed(tmp_path: Path)
 # --- GLB ---------------------------------------------------------------------------------------------
 
 
+def glb(header: dict[str, Any], binary: bytes) -> bytes:
+    text = json.dumps(header, indent=1, ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 4)
+    length = 12 + 8 + len(text) + 8 + len(binary)
+    chunks = (
+        struct.pack("<I", len(text)) + b"JSON" + text + struct.pack("<I", len(binary)) + b"BIN\0" + binary
+    )
+    return b"glTF" + struct.pack("<II", 2, length) + chunks
+
+
 def rich_glb() -> bytes:
     """Two materials over one mesh, a second buffer, interleaved data, nested nodes, a texture, extras, an animation."""
     half = N_FACES // 2
@@ -175,13 +186,7 @@ def rich_glb() -> bytes:
         "bufferViews": views,
         "accessors": accessors,
     }  # fmt: skip
-    text = json.dumps(header, indent=1, ensure_ascii=False).encode()
-    text += b" " * (-len(text) % 4)
-    length = 12 + 8 + len(text) + 8 + len(binary)
-    chunks = (
-        struct.pack("<I", len(text)) + b"JSON" + text + struct.pack("<I", len(binary)) + b"BIN\0" + binary
-    )
-    return b"glTF" + struct.pack("<II", 2, length) + chunks
+    return glb(header, binary)
 
 
 def test_glb(tmp_path: Path) -> None:
@@ -226,6 +231,15 @@ def test_the_whole_scene_is_read_as_trimesh_reads_it(tmp_path: Path) -> None:
     ours, theirs = load(tmp_path / "a.glb", shape_only=True), load(tmp_path / "a.glb")
     assert np.array_equal(ours.faces, theirs.faces)
     assert np.abs(ours.vertices - theirs.vertices).max() < 1e-12
+
+
+@pytest.mark.parametrize("images", [[7], "x", {"uri": "a.png"}])
+def test_a_glb_with_images_that_are_none_is_refused_before_the_work(tmp_path: Path, images: Any) -> None:
+    header, binary = glb_parts(rich_glb())
+    source = tmp_path / "a.glb"
+    source.write_bytes(glb({**header, "images": images}, binary))
+    with pytest.raises(MeshError, match=r"cannot read .*a\.glb"):
+        check_copies(source, tmp_path / "b.glb")
 
 
 def test_a_glb_whose_data_are_elsewhere_or_too_short(tmp_path: Path) -> None:

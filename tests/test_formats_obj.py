@@ -194,3 +194,15 @@ def test_several_libraries_on_a_line(tmp_path: Path, line: str, names: list[str]
     save(mesh, tmp_path / "out" / "b.obj", like=source)
     for name in names:
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / name).read_bytes()
+
+
+@pytest.mark.parametrize("mark", ["\u2028", "\x0b", "\x0c", "\x85"])
+def test_a_name_with_an_odd_space_ends_no_line(tmp_path: Path, mark: str) -> None:
+    source = obj(tmp_path, f"mtllib a.mtl{mark}v 9 9 9\n" + VERTICES + "f 1 2 3\n")
+    before = source.read_bytes()
+    mesh = load(source)
+    assert len(mesh.vertices) == VERTICES.count("v ")
+    save(mesh, tmp_path / "b.obj", like=source)
+    lines = (tmp_path / "b.obj").read_bytes().split(b"\n")
+    assert lines[0] == before.split(b"\n")[0]
+    assert len(load(tmp_path / "b.obj").vertices) == len(mesh.vertices)

@@ -12,6 +12,7 @@ import torch
 import trimesh
 
 from gcnd.errors import GcndError, MeshError
+from gcnd.formats.atomic import write_atomic
 from gcnd.mesh_io import SUPPORTED, check_output_path, load, save, to_arrays
 
 VERTICES = np.array([[0.1, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [7.0, 7.0, 7.0]])
@@ -341,6 +342,18 @@ def test_attribute_that_ply_cannot_hold_is_named(tmp_path: Path) -> None:
 
 
 # --- check_output_path -------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+def test_a_pipe_is_no_place_for_a_result(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.ply"
+    os.mkfifo(pipe)
+    with pytest.raises(MeshError, match=r"pipe\.ply is a device or a pipe, which a file would replace"):
+        check_output_path(pipe, tmp_path / "a.ply")
+    with pytest.raises(OSError, match="which no file replaces"):
+        write_atomic(pipe, b"x")
+    assert pipe.is_fifo()
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe.ply"]
 
 
 def test_output_must_not_be_the_input(tmp_path: Path) -> None:

@@ -133,10 +133,8 @@ def test_holes_stay_holes(shipped: str) -> None:
         is_outline = 0 in loop
         way = (result - TRUTH)[loop]
         # In the plane no vertex leaves the outline, and in height most of the noise goes.
-        assert (
-            np.linalg.norm(way[:, :2], axis=1).max()
-            < {"fast": 0.06, "scan": 0.13 if is_outline else 0.025}[shipped]
-        )
+        in_plane = {"fast": 0.06, "scan": 0.13 if is_outline else 0.025}[shipped]
+        assert np.linalg.norm(way[:, :2], axis=1).max() < in_plane
         # But the straight outline `scan` bends towards the back, corners by 0.4 edges, with holes as without.
         start, share = (unbroken, 1.2) if shipped == "scan" and is_outline else (NOISY, in_height)
         assert np.sqrt((way[:, 2] ** 2).mean()) < share * np.sqrt(((start - TRUTH)[loop, 2] ** 2).mean())

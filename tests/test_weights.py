@@ -314,3 +314,19 @@ def test_every_card_can_be_shown() -> None:
     for name in registry._SHIPPED:
         assert f"\n{name}" in f"\n{run.stdout}"
     assert run.stdout.count("openly licensed meshes") == len(registry._SHIPPED)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float16])
+def test_weights_are_what_they_are_whatever_torch_makes_by_default(dtype: torch.dtype) -> None:
+    mesh = (denoise_cases.VERTICES, denoise_cases.FACES)
+    plain = denoise(mesh, preset="fast")[0]
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(dtype)
+    try:
+        with torch.device("meta"):
+            cascade = load_cascade("fast")
+        assert {p.device.type for p in cascade.parameters()} == {"cpu"}
+        assert {p.dtype for p in cascade.parameters()} == {torch.float32}
+        assert np.array_equal(denoise(mesh, preset="fast")[0], plain)
+    finally:
+        torch.set_default_dtype(before)

@@ -255,8 +255,8 @@ def check_output_path(path: MeshPath, *others: MeshPath, is_mesh: bool = True) -
 
     Raises:
         MeshError: If the extension is not supported; the folder does not exist or is not writable; `path` is
-            a folder or a write-protected file; no file can have such a name; or it is one of ``others``, under whatever
-            name. Of what is no mesh, a plain `GcndError`.
+            a folder, a device, a pipe or a write-protected file; no file can have such a name; or it is one of
+            ``others``, under whatever name. Of what is no mesh, a plain `GcndError`.
     """
     path = Path(path)
     error = MeshError if is_mesh else GcndError
@@ -264,6 +264,8 @@ def check_output_path(path: MeshPath, *others: MeshPath, is_mesh: bool = True) -
         check_name(each, error)
     if path.is_dir():
         raise error(f"{path} is a folder, not a file", "add a file name to it")
+    if path.exists() and not path.is_file():
+        raise error(f"{path} is a device or a pipe, which a file would replace", "name a file")
     if is_mesh:
         _known_extension(path)
     folder = Path(os.path.realpath(path)).parent

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gcnd import _geom
 from gcnd.controls import Controls
 from gcnd.errors import MeshWarning
+from gcnd.forks import refuse_fork
 from gcnd.memory import BYTES_A_FACE, check_memory
 from gcnd.mesh_io import FILE_WARNINGS, MeshArrays, load, to_arrays
 from gcnd.report import make_report
@@ -113,6 +114,7 @@ def run_on(
         bytes_a_face: What the method takes for each of so many faces; see ``gcnd.memory``.
 
     Raises:
+        GcndError: This process is a fork, see ``gcnd.forks``.
         MeshError: The mesh cannot be worked on.
         ConfigError: A control does not fit the mesh.
         Cancelled: ``progress`` said so.
@@ -121,6 +123,7 @@ def run_on(
         MeshWarning: Faces are repeated, disagree on which side is out, have no area, or most have hardly a
             neighbourhood, see ``gcnd.surface``; or there are spikes, see ``gcnd.spikes``.
     """
+    refuse_fork()
     stages = Stages(progress)
     stages(0.0, "reading")
     if isinstance(mesh, str | os.PathLike):

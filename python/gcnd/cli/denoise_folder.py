@@ -155,7 +155,7 @@ def _write_report(
 
 def _former_reports(path: Path) -> dict[str, object]:
     """What an earlier run of the folder wrote there, by the names of the meshes; nothing where it is anything else."""
-    text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else "[]"
+    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else "[]"
     try:
         rows = json.loads(text)
     except ValueError:

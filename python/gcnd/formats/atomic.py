@@ -71,9 +71,11 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         A name in the same folder, hidden, at which there is no file.
 
     Raises:
-        OSError: If the folder cannot be written to or is full.
+        OSError: If the folder cannot be written to or is full, or what stands there is no file.
     """
     target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        raise OSError(errno.EINVAL, "a folder, a device or a pipe, which no file replaces", str(path))
     # Names have at most 255 bytes.
     prefix = f".{os.fsencode(target.name)[:120].decode(errors='ignore')}.{_HOST}."
     _remove_abandoned(target.parent, prefix)

@@ -5,6 +5,7 @@ Normals, groups, smoothing groups, lines and points are not kept.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -22,6 +23,9 @@ from gcnd.formats.parsed import (
 )
 
 __all__ = ["read_obj"]
+
+_LINE_END = re.compile(r"\r\n|[\r\n]")
+"""What other ends of lines Python knows, no OBJ has: a name may hold them."""
 
 
 @dataclass
@@ -98,7 +102,7 @@ def _collect(text: str) -> _Lines:
     """Sorts the lines by keyword."""
     lines = _Lines()
     text = text.replace("\\\r\n", " ").replace("\\\n", " ").replace("\t", " ")
-    for number, raw in enumerate(text.splitlines(), start=1):
+    for number, raw in enumerate(_LINE_END.split(text), start=1):
         key, _, rest = raw.strip().partition(" ")
         match key:
             case "v":

@@ -39,7 +39,9 @@ def read_off(data: bytes, *, triangulate: bool = False) -> ParsedMesh:
         MeshError: If the file is no OFF file, is cut off, or has a face that is not a triangle.
     """
     text = data.decode("utf-8", errors="replace")
-    lines = [line for line in (raw.partition("#")[0].strip() for raw in text.splitlines()) if line]
+    lines = [
+        line for line in (raw.partition("#")[0].strip() for raw in re.split(r"\r\n|[\r\n]", text)) if line
+    ]
     keyword, _, rest = lines[0].partition(" ") if lines else ("", "", "")
     kind = KEYWORD.match(keyword)
     if kind is None:

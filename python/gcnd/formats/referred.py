@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from codecs import BOM_UTF8
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
@@ -78,12 +79,7 @@ def paths_of_referred(source: Path, path: Path) -> list[Path]:
     Raises:
         MeshError: It cannot be read, or is damaged.
     """
-    try:
-        names = [name.replace("\\", "/") for name in _found(_head(source), source)]
-    except MeshError:
-        raise
-    except Exception as error:  # whatever a parser trips over is a fault of the file, not of its reader
-        raise MeshError(f"cannot read {source}: {type(error).__name__}: {error}", DAMAGED_HINT) from error
+    names = [name.replace("\\", "/") for name in _found(_head(source), source)]
     names += [PurePosixPath(name).name for name in names]
     libraries = [path.with_suffix(".mtl")] if path.suffix.lower() == ".obj" else []
     return [folder / name for folder in (source.parent, path.parent) for name in names] + libraries
@@ -93,7 +89,12 @@ def _found(data: bytes, source: Path) -> dict[str, Path | None]:
     """All names that a file and its material libraries refer to, and where they lie in its folder or below."""
     folder = source.absolute().parent
     found: dict[str, Path | None] = {}
-    waiting = _referred(data, source.suffix.lower(), folder)
+    try:
+        waiting = _referred(data, source.suffix.lower(), folder)
+    except MeshError:
+        raise
+    except Exception as error:  # whatever a parser trips over is a fault of the file, not of its reader
+        raise MeshError(f"cannot read {source}: {type(error).__name__}: {error}", DAMAGED_HINT) from error
     while waiting:
         name = waiting.pop()
         if name in found or not can_be_name(name):
@@ -150,7 +151,8 @@ def _referred(data: bytes, extension: str, folder: Path) -> list[str]:
 
 def _rests(data: bytes, *keys: str) -> list[str]:
     """What follows a keyword at the beginning of a line, without the keyword."""
-    lines = [line.strip().partition(" ") for line in data.decode("utf-8-sig", errors="replace").splitlines()]
+    text = data.removeprefix(BOM_UTF8).splitlines()
+    lines = [line.decode("utf-8", errors="replace").strip().partition(" ") for line in text]
     return [rest.strip() for key, _, rest in lines if key.lower().startswith(keys) and rest.strip()]
 
 

@@ -10,7 +10,8 @@ __all__ = ["replaced_words", "text_lines"]
 
 def text_lines(data: bytes) -> list[str]:
     """Splits a text file as its readers do; joined and encoded with "surrogateescape" it is the same bytes."""
-    return data.decode("utf-8", errors="surrogateescape").splitlines(keepends=True)
+    # Of bytes: in text, there are ends of lines that no format of meshes has.
+    return [line.decode("utf-8", errors="surrogateescape") for line in data.splitlines(keepends=True)]
 
 
 _WORD = re.compile(r"(?:(?!\\\r?\n)\S)+")

@@ -54,9 +54,12 @@ def _split(points: NDArray[Any], faces: Any) -> tuple[NDArray[np.int64] | None, 
 
 def _as_numpy(values: Any, what: str) -> NDArray[Any]:
     if _is_torch(values):
-        values = values.detach().cpu()
-        # numpy has no bfloat16, and every float that torch has fits in 64 bits.
-        values = (values.double() if values.is_floating_point() else values).numpy()
+        try:
+            values = values.detach().cpu()
+            # numpy has no bfloat16, and every float that torch has fits in 64 bits.
+            values = (values.double() if values.is_floating_point() else values).numpy()
+        except (TypeError, NotImplementedError, RuntimeError) as error:
+            raise MeshError(f"{what} are a tensor that numpy cannot hold: {error}") from error
     try:
         array = np.array(values)
     except ValueError:

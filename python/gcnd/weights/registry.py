@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from gcnd.auto import CANDIDATES
 from gcnd.errors import ConfigError, WeightsError
+from gcnd.forks import refuse_fork
 from gcnd.nn.cascade import Cascade, CascadeConfig
 from gcnd.weights.files import load_header, load_tensors, save_tensors
 
@@ -134,13 +135,18 @@ def load_config_of(preset: str) -> CascadeConfig:
 
 def load_trainable(preset: str) -> Cascade:
     """Loads a cascade as it was trained, BatchNorm apart; arguments and errors as in ``load_cascade``."""
+    import torch
+
+    refuse_fork()
     path = find_weights(preset)
     if preset in _SHIPPED:
         _check_hash(path, _load_card(preset)["sha256"])
     tensors, header = load_tensors(path)
     config = _cascade_config(path, header)
     _check_tensors(path, config, tensors)
-    cascade = Cascade(config)
+    # Whatever torch makes elsewhere by default.
+    with torch.device("cpu"):
+        cascade = Cascade(config).to(torch.float32)
     cascade.load_state_dict(tensors)
     return cascade
 

@@ -1,0 +1,59 @@
+"""A fork of a process that has run gcnd is told so, and does not wait for threads that it has not."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import multiprocessing, sys
+import numpy as np
+import gcnd
+
+V, F = np.eye(3, 3), np.array([[0, 1, 2]])
+
+def told(work):
+    try:
+        work()
+    except gcnd.GcndError as error:
+        return f"{error} / {error.hint}"
+    return "done"
+
+def child(queue):
+    queue.put(told(lambda: gcnd.Denoiser("fast")) if kind == "load" else told(lambda: denoiser((V, F))))
+
+kind = sys.argv[1]
+if kind != "unused":
+    denoiser = gcnd.Denoiser("fast")
+if kind == "used":
+    denoiser((V, F))
+if kind == "unused":
+    import gcnd.filters
+    child = lambda queue: queue.put(told(lambda: gcnd.filters.apply_filter((V, F), "taubin")))
+context = multiprocessing.get_context("fork")
+queue = context.Queue()
+process = context.Process(target=child, args=(queue,))
+process.start()
+print(queue.get(timeout=60))
+process.join(60)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks here")
+@pytest.mark.parametrize("kind", ["load", "fresh", "used", "unused"])
+def test_a_fork_is_refused_once_its_parent_has_run_anything(kind: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", PROGRAM, kind],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    if kind == "unused":
+        assert done.stdout == "done\n"
+    else:
+        assert "is a fork of one that has run gcnd" in done.stdout
+        assert 'multiprocessing.get_context("spawn")' in done.stdout
