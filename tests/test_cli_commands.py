@@ -30,10 +30,20 @@ def test_noise_passes_its_options_on(mesh_path: Path, monkeypatch: pytest.Monkey
     assert main([*base, "0.2"]) == 0
     assert main([*base, "0.4", "--kind", "impulsive", "--fraction", "0.1", "--seed", "3"]) == 0
     assert calls == [
-        {"kind": "gaussian", "level": 0.2, "fraction": 0.3, "seed": 0},
+        {"kind": "gaussian", "level": 0.2, "seed": 0},
         {"kind": "impulsive", "level": 0.4, "fraction": 0.1, "seed": 3},
     ]
     assert np.array_equal(load(out).vertices, VERTICES + 0.5)
+
+
+@pytest.mark.parametrize("kind", ["gaussian", "isotropic", "kinect1"])
+def test_a_fraction_that_does_not_apply_is_refused(
+    mesh_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    out = mesh_path.with_name("noisy.ply")
+    assert main(["noise", str(mesh_path), str(out), "--kind", kind, "--fraction", "0.1"]) == 1
+    assert f"error: --fraction does not apply to {kind}" in capsys.readouterr().err
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(("preset", "wanted"), [("scan", "scanned_corpus"), ("fast", "generated_corpus")])

@@ -101,19 +101,19 @@ def test_vertices_are_fitted_once_after_the_last_update_where_the_weights_say_so
     plain = denoise_arrays(VERTICES, FACES, random_cascade(), vertex_iterations=iterations, boundary="fixed")
     given: list[Any] = []
 
-    def fitted(_: _geom.Topology, vertices: Any, normals: Any, first: Any, boundary: str, **__: Any) -> Any:
-        given.append((vertices, len(normals), first, boundary))
+    def fitted(_: _geom.Topology, vertices: Any, normals: Any, first: Any, boundary: str, **rest: Any) -> Any:
+        given.append((vertices, len(normals), first, boundary, rest["pull"]))
         return vertices + 1.0
 
     monkeypatch.setattr(_geom, "fit_vertices", fitted)
-    cascade = random_cascade(replace(CONFIG, fit_vertices=fits))
+    cascade = random_cascade(replace(CONFIG, pull=0.3 if fits else None))
     moved = denoise_arrays(VERTICES, FACES, cascade, vertex_iterations=iterations, boundary="fixed")
     if not (fits and iterations):
         assert not given
         assert np.array_equal(moved, plain)
         return
-    ((vertices, n_normals, first, boundary),) = given
-    assert (n_normals, boundary) == (len(FACES), "fixed")
+    ((vertices, n_normals, first, boundary, pull),) = given
+    assert (n_normals, boundary, pull) == (len(FACES), "fixed", 0.3)
     np.testing.assert_allclose(moved, plain + 1.0, rtol=0, atol=1e-12)
     np.testing.assert_allclose(vertices - first, plain - VERTICES, rtol=0, atol=1e-12)
 

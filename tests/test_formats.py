@@ -366,3 +366,22 @@ def test_a_few_bytes_behind_a_binary_stl_are_told_and_kept(tmp_path: Path, n_mor
     plain = written(tmp_path, "c.stl", data)
     denoise_many([plain], tmp_path / "out", denoiser=Filter("taubin"))
     assert result[: len(data)] == (tmp_path / "out" / "c.stl").read_bytes()
+
+
+def test_triangle_strips_are_no_point_cloud(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    path.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+        "element tristrips 1\nproperty list int int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+    )
+    with pytest.raises(MeshError, match="triangle strips and no faces") as caught:
+        load(path)
+    assert "MeshLab" in str(caught.value.hint)
+
+
+@pytest.mark.parametrize("extension", [".xyz", ".pcd", ".las"])
+def test_formats_of_point_clouds_say_how_to_proceed(tmp_path: Path, extension: str) -> None:
+    (tmp_path / f"a{extension}").write_text("0 0 0\n")
+    with pytest.raises(MeshError, match="unknown mesh format") as caught:
+        load(tmp_path / f"a{extension}")
+    assert "a point cloud must be meshed first" in str(caught.value.hint)

@@ -37,6 +37,25 @@ def held_by_another(folder: Path) -> Iterator[subprocess.Popen[str]]:
         other.kill()
 
 
+@pytest.mark.parametrize("writes", [False, True])
+def test_a_folder_that_was_made_for_nothing_goes_again(tmp_path: Path, writes: bool) -> None:
+    folder = tmp_path / "deep" / "run"
+
+    def fail() -> None:
+        with only_writer(folder):
+            if writes:
+                (folder / "log.jsonl").touch()
+            raise ConfigError("odd")
+
+    with pytest.raises(ConfigError, match="odd"):
+        fail()
+    assert folder.exists() == writes
+    folder.mkdir(exist_ok=True)
+    with pytest.raises(ConfigError, match="odd"):
+        fail()
+    assert folder.is_dir()
+
+
 def test_a_folder_is_made_and_free_again_afterwards(tmp_path: Path) -> None:
     folder = tmp_path / "a" / "b"
     for _ in range(2):

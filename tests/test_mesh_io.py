@@ -197,13 +197,13 @@ def test_missing_folder_and_unknown_files(tmp_path: Path) -> None:
         ("folder.ply", "is a folder"),
         ("plain", "is a folder"),
         ("empty.ply", "is empty"),
-        ("a.xyz", "unknown mesh format '.xyz'"),
+        ("a.fbx", "unknown mesh format '.fbx'"),
         ("noextension", "no file extension"),
     ]:
         with pytest.raises(MeshError, match=message):
             load(tmp_path / name)
     with pytest.raises(MeshError) as caught:
-        load(tmp_path / "a.xyz")
+        load(tmp_path / "a.fbx")
     assert caught.value.hint == "supported: .ply, .obj, .stl, .off, .glb"
 
 

@@ -317,6 +317,7 @@ def fit_vertices(
     first: Points,
     boundary: Literal["free", "along", "fixed"] = "free",
     *,
+    pull: float = 0.0026,
     progress: StepProgress | None = None,
 ) -> Points:
     """Positions (V, 3), mesh units, between what normals (F, 3) ask for and where vertices were ``first``."""

@@ -240,6 +240,8 @@ def _moved(
     vertices = _geom.update_vertices(
         topology, last.vertices, normals, iterations, boundary, progress=stages.ask
     )
-    if config.fit_vertices and iterations:
-        vertices = _geom.fit_vertices(topology, vertices, normals, first, boundary, progress=stages.ask)
+    if config.pull is not None and iterations:
+        vertices = _geom.fit_vertices(
+            topology, vertices, normals, first, boundary, pull=config.pull, progress=stages.ask
+        )
     return _geom.keep_detail(topology, first, vertices) if config.keep_detail else vertices

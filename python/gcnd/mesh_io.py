@@ -62,7 +62,13 @@ _READERS: Mapping[str, Callable[..., ParsedMesh]] = {
     ".stl": read_stl,
     ".off": read_off,
 }
-_OTHER_HINTS = {".gltf": "; export it again as .glb, which is glTF in one file"}
+_OTHER_HINTS = {
+    ".gltf": "; export it again as .glb, which is glTF in one file",
+    **dict.fromkeys(
+        (".xyz", ".pts", ".pcd", ".las", ".laz", ".e57", ".asc"),
+        "; a point cloud must be meshed first, as by Poisson reconstruction in MeshLab",
+    ),
+}
 _WITH_POLYGONS = (".ply", ".obj", ".off")
 SUPPORTED: tuple[str, ...] = (*_READERS, ".glb")
 """The file extensions that can be read and written."""

@@ -30,7 +30,7 @@ CONFIG = CascadeConfig(
     RefinementConfig(4, 0.15, 1.5),
     vertex_iterations=9,
     keep_detail=True,
-    fit_vertices=True,
+    pull=0.01,
     flat_passes=1,
 )
 
@@ -78,14 +78,17 @@ def test_a_stage_without_a_field_is_refused(field: str) -> None:
         StageConfig.from_dict(values)
 
 
-@pytest.mark.parametrize("name", ["keep_detail", "fit_vertices"])
-def test_weights_from_before_keep_no_detail_and_fit_no_vertices(name: str) -> None:
+def test_weights_from_before_keep_no_detail_and_fit_no_vertices() -> None:
     values = CONFIG.to_dict()
-    del values[name]
-    assert CascadeConfig.from_dict(values) == replace(CONFIG, **{name: False})
-    values[name] = 1
-    with pytest.raises(ConfigError, match=f"{name} is 1, allowed: True or False"):
-        CascadeConfig.from_dict(values)
+    del values["keep_detail"], values["pull"]
+    assert CascadeConfig.from_dict(values) == replace(CONFIG, keep_detail=False, pull=None)
+    for name, wrong, message in (
+        ("keep_detail", 1, "keep_detail is 1, allowed: True or False"),
+        ("pull", -0.1, "pull is -0.1, allowed: 0 or more, or none"),
+        ("pull", float("nan"), "pull is nan"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            CascadeConfig.from_dict({**values, name: wrong})
 
 
 def test_weights_from_before_have_one_coverage_and_no_passes_more() -> None:

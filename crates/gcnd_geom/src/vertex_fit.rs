@@ -1,7 +1,7 @@
 //! After vertex updating: positions between what the normals ask for and where the input was, whatever shape the
 //! triangles have.
 
-use crate::error::{Result, check_len};
+use crate::error::{GeomError, Result, check_len};
 use crate::face_geometry::mean_edge_length;
 use crate::mesh::check_vertices;
 use crate::normals::refine::unit_normals;
@@ -15,8 +15,8 @@ use rayon::prelude::*;
 /// Steps of the solver; each costs about as much as an iteration of Eq. 6.
 pub const ITERATIONS: usize = 30;
 
-/// λ for noise of one mean edge; it falls with the noise, since what is noisier is to be followed less.
-const PULL: f64 = 0.0026;
+/// λ₁ that serves noise of each vertex's own.
+pub const PULL: f64 = 0.0026;
 
 /// Noise in mean edges below which λ rises no further.
 const LEAST_NOISE: f64 = 0.02;
@@ -46,11 +46,12 @@ const CHUNK: usize = 4096;
 /// decide. α_ij is the corner opposite ij. The second sum holds low waves, which noise of each vertex's own hardly has
 /// and normals hardly tell: r are the positions before denoising, m_i the mean of the normals around i, weighted by
 /// area, and t is what is across m_i. With d_i = m_i · (r_i − v_i) at the start, σ = 1.4826 median |d_i| and ē the mean
-/// edge length, λ_i = λ / (1 + (d_i / 3σ)²), λ = 0.0026 ē / max(σ, 0.02 ē), μ = 0.13.
+/// edge length, λ_i = λ / (1 + (d_i / 3σ)²), λ = λ₁ ē / max(σ, 0.02 ē), μ = 0.13.
 ///
 /// - `topology`, `vertices` (V), in mesh units: the result of [`crate::vertex_update::update_vertices`].
 /// - `normals` (F): as given to it; a face whose normal is zero asks for nothing.
 /// - `first` (V): r, in mesh units.
+/// - `pull`: λ₁, such as [`PULL`]; 0 and more.
 /// - `boundary`: as for Eq. 6, with the rim of `vertices`.
 /// - `watch`: hears of each of [`ITERATIONS`] steps of conjugate gradients, from `vertices` on, preconditioned by the
 ///   3 × 3 blocks of the diagonal.
@@ -59,19 +60,20 @@ const CHUNK: usize = 4096;
 ///
 /// # Errors
 /// [`crate::GeomError::LengthMismatch`], [`crate::GeomError::NonFiniteVertex`],
-/// [`crate::GeomError::InvalidParameter`] for a normal that is NaN or infinite, or [`crate::GeomError::Cancelled`].
+/// [`crate::GeomError::InvalidParameter`] for a normal that is NaN or infinite or a pull out of range, or
+/// [`crate::GeomError::Cancelled`].
 ///
 /// Paper: Sec. 6.2, Eq. 6; cotangent weights: `pinkall1993`.
 /// Choice: docs/choices.md#vertex-fit.
 ///
 /// ```
-/// use gcnd_geom::{fixtures, vertex_fit::fit_vertices, vertex_update::Boundary, DVec3, Topology, Watch};
+/// use gcnd_geom::{fixtures, vertex_fit::{PULL, fit_vertices}, vertex_update::Boundary, DVec3, Topology, Watch};
 /// let (flat, faces) = fixtures::grid(6, 6);
 /// let mut noisy = flat.clone();
 /// fixtures::jitter(&mut noisy, 0.2, 1);
 /// let normals = vec![DVec3::Z; faces.len()];
 /// let topology = Topology::new(faces, flat.len())?;
-/// let fitted = fit_vertices(&topology, &noisy, &normals, &noisy, Boundary::Free, &mut Watch::silent())?;
+/// let fitted = fit_vertices(&topology, &noisy, &normals, &noisy, PULL, Boundary::Free, &mut Watch::silent())?;
 /// let middle = fitted.iter().map(|v| v.z).sum::<f64>() / fitted.len() as f64;
 /// assert!(fitted.iter().all(|v| (v.z - middle).abs() < 0.03), "flat, as the normals are");
 /// # Ok::<(), gcnd_geom::GeomError>(())
@@ -81,9 +83,17 @@ pub fn fit_vertices(
     vertices: &[DVec3],
     normals: &[DVec3],
     first: &[DVec3],
+    pull: f64,
     boundary: Boundary,
     watch: &mut Watch<'_>,
 ) -> Result<Vec<DVec3>> {
+    if !(pull.is_finite() && pull >= 0.0) {
+        return Err(GeomError::InvalidParameter {
+            name: "pull",
+            value: pull.to_string(),
+            allowed: "a finite number, 0 or more",
+        });
+    }
     for (name, positions) in [("vertices", vertices), ("first", first)] {
         check_len(name, topology.n_vertices(), positions.len())?;
         check_vertices(positions)?;
@@ -94,7 +104,7 @@ pub fn fit_vertices(
     if !edge.is_normal() {
         return Ok(vertices.to_vec());
     }
-    let energy = Energy::new(topology, vertices, normals, first, edge, boundary);
+    let energy = Energy::new(topology, vertices, normals, first, edge, pull, boundary);
     let ways = energy.minimize(|| ticks.tick())?;
     let moved = |(&v, way): (&DVec3, DVec3)| Some(v + way * edge).filter(|v| v.is_finite()).unwrap_or(v);
     Ok(vertices.par_iter().zip(ways).with_min_len(CHUNK).map(moved).collect())
@@ -128,6 +138,7 @@ impl<'a> Energy<'a> {
         normals: Vec<DVec3>,
         first: &[DVec3],
         edge: f64,
+        pull: f64,
         boundary: Boundary,
     ) -> Self {
         let scaled: Vec<DVec3> = vertices.par_iter().with_min_len(CHUNK).map(|&v| v / edge).collect();
@@ -136,7 +147,7 @@ impl<'a> Energy<'a> {
         let areas = areas_of(topology, &scaled);
         let floor = LEAST_AREA * areas.iter().sum::<f64>() / areas.len() as f64;
         let means = mean_normals(topology, &normals, &areas);
-        let holds = holds(topology, &offsets, &means);
+        let holds = holds(topology, &offsets, &means, pull);
         let faces = topology.faces().par_iter().zip(normals).zip(areas).with_min_len(CHUNK);
         let terms: Vec<Term> = faces
             .map(|((face, normal), area)| Term {
@@ -258,12 +269,12 @@ fn mean_normals(topology: &Topology, normals: &[DVec3], areas: &[f64]) -> Vec<DV
 }
 
 /// λ_i m mᵀ + μ (1 − m mᵀ) for every vertex, from how far the first positions are off, in mean edge lengths.
-fn holds(topology: &Topology, offsets: &[DVec3], means: &[DVec3]) -> Vec<DMat3> {
+fn holds(topology: &Topology, offsets: &[DVec3], means: &[DVec3], pull: f64) -> Vec<DMat3> {
     let heights: Vec<f64> = offsets.iter().zip(means).map(|(offset, mean)| offset.dot(*mean)).collect();
     let has_faces = |&i: &usize| !topology.vertex_faces().row(i).is_empty();
     let mut seen: Vec<f64> = (0..heights.len()).filter(has_faces).map(|i| heights[i].abs()).collect();
     let noise = 1.4826 * quantile(&mut seen, 0.5);
-    let pull = PULL / noise.max(LEAST_NOISE);
+    let pull = pull / noise.max(LEAST_NOISE);
     let hold = |(height, &mean): (f64, &DVec3)| {
         let far = if height == 0.0 { 0.0 } else { height / (FAR * noise) };
         DMat3::from_diagonal(DVec3::splat(HOLD)) + outer(mean) * (pull / (1.0 + far * far) - HOLD)
@@ -286,7 +297,6 @@ fn add(sum: &mut [DVec3], factor: f64, other: &[DVec3]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::GeomError;
     use crate::face_geometry::FaceGeometry;
     use crate::fixtures;
 
@@ -297,7 +307,7 @@ mod tests {
         boundary: Boundary,
     ) -> Result<Vec<DVec3>> {
         let topology = Topology::new(faces.clone(), vertices.len())?;
-        fit_vertices(&topology, vertices, normals, first, boundary, &mut Watch::silent())
+        fit_vertices(&topology, vertices, normals, first, PULL, boundary, &mut Watch::silent())
     }
 
     /// A sheet of 12 × 12 with noise across it, its normals all z.
@@ -431,6 +441,13 @@ mod tests {
         assert_eq!(error, GeomError::NonFiniteVertex { vertex_id: 1 });
         let error = fitted(&mesh, &[DVec3::NAN; 4], &mesh.0, Boundary::Free).unwrap_err();
         assert!(matches!(error, GeomError::InvalidParameter { name: "normals", .. }), "{error}");
+        let topology = Topology::new(mesh.1.clone(), 4).expect("valid");
+        for pull in [-1.0, f64::NAN, f64::INFINITY] {
+            let watch = &mut Watch::silent();
+            let error =
+                fit_vertices(&topology, &mesh.0, &up, &mesh.0, pull, Boundary::Free, watch).unwrap_err();
+            assert!(matches!(error, GeomError::InvalidParameter { name: "pull", .. }), "{error}");
+        }
         let nothing = (vec![DVec3::ONE], Vec::new());
         assert_eq!(fitted(&nothing, &[], &[DVec3::ZERO], Boundary::Free).expect("valid"), [DVec3::ONE]);
     }

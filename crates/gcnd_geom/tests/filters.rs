@@ -4,7 +4,7 @@ use gcnd_geom::face_geometry::FaceGeometry;
 use gcnd_geom::fixtures::{self, MeshParts};
 use gcnd_geom::metrics::{angles, normal_error, vertex_error};
 use gcnd_geom::normals::{Neighborhood, RefineParams, refine_normals};
-use gcnd_geom::vertex_fit::fit_vertices;
+use gcnd_geom::vertex_fit::{PULL, fit_vertices};
 use gcnd_geom::vertex_update::{Boundary, update_vertices};
 use gcnd_geom::{DMat3, DVec3, Face, GeomError, Topology, Watch};
 use proptest::prelude::*;
@@ -78,7 +78,7 @@ fn updated(mesh: &MeshParts, normals: &[DVec3], iterations: usize) -> Vec<DVec3>
 }
 
 fn fitted(mesh: &MeshParts, normals: &[DVec3], first: &[DVec3]) -> Vec<DVec3> {
-    fit_vertices(&topology(mesh), &mesh.0, normals, first, Boundary::Along, &mut Watch::silent())
+    fit_vertices(&topology(mesh), &mesh.0, normals, first, PULL, Boundary::Along, &mut Watch::silent())
         .expect("valid")
 }
 

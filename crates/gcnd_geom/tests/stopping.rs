@@ -139,7 +139,8 @@ fn vertex_updating_asks_after_every_iteration() {
 fn fitting_vertices_asks_after_every_step() {
     let Noisy { topology, vertices, normals } = noisy();
     assert_stops_anywhere(vertex_fit::ITERATIONS, |watch| {
-        fit_vertices(&topology, &vertices, &normals, &vertices, Boundary::Along, watch).map(drop)
+        fit_vertices(&topology, &vertices, &normals, &vertices, vertex_fit::PULL, Boundary::Along, watch)
+            .map(drop)
     });
 }
 

@@ -105,7 +105,8 @@ pub fn update_vertices<'py>(
 }
 
 #[pyfunction]
-#[pyo3(signature = (topology, vertices, normals, first, boundary="free", *, progress=None))]
+#[pyo3(signature = (topology, vertices, normals, first, boundary="free", *, pull=vertex_fit::PULL, progress=None))]
+#[allow(clippy::too_many_arguments, reason = "arguments of the Python signature")]
 pub fn fit_vertices<'py>(
     py: Python<'py>,
     topology: &PyTopology,
@@ -113,13 +114,14 @@ pub fn fit_vertices<'py>(
     normals: Points<'py>,
     first: Points<'py>,
     boundary: &str,
+    pull: f64,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let boundary = boundary_from(boundary)?;
     let (vertices, normals) = (arrays::points("vertices", &vertices)?, arrays::points("normals", &normals)?);
     let (topology, first) = (&topology.inner, arrays::points("first", &first)?);
     let fitted = watched(py, progress, |watch| {
-        vertex_fit::fit_vertices(topology, vertices, normals, first, boundary, watch)
+        vertex_fit::fit_vertices(topology, vertices, normals, first, pull, boundary, watch)
     })?;
     arrays::triples(py, fitted)
 }

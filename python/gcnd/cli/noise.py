@@ -62,8 +62,11 @@ def run(
         ),
     ] = NoiseKind.GAUSSIAN,
     fraction: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Fraction of the vertices that impulsive noise moves.")
-    ] = 0.3,
+        float | None,
+        typer.Option(
+            min=0.0, max=1.0, help="Fraction of the vertices that impulsive noise moves; 0.3 by default."
+        ),
+    ] = None,
     truth: Annotated[
         Path | None,
         typer.Option(help="File to write a scan's truth to: the same faces, vertices on the clean surface."),
@@ -86,6 +89,8 @@ def run(
 
     check_input_path(input_mesh)
     check_output_path(output_mesh, input_mesh)
+    if fraction is not None and kind is not NoiseKind.IMPULSIVE:
+        raise ConfigError(f"--fraction does not apply to {kind.value}", hint="it belongs to impulsive")
     if kind in _SCANS:
         if level is not None:
             raise ConfigError(f"--level does not apply to {kind.value}", hint="a scan has its sensor's noise")
@@ -103,7 +108,9 @@ def run(
             )
     if level is None:
         raise typer.BadParameter(f"{kind.value} noise needs one", param_hint="--level")
-    options = {"kind": kind.value, "level": level, "fraction": fraction, "seed": seed}
+    options = {"kind": kind.value, "level": level, "seed": seed}
+    if fraction is not None:
+        options["fraction"] = fraction
     _add_noise(input_mesh, output_mesh, triangulate, options)
 
 

@@ -19,7 +19,8 @@ _NAME = ".lock"
 def only_writer(folder: Path) -> Iterator[None]:
     """Hold a folder, which is made if missing, so that a second run in it is refused.
 
-    The system lets go of it when the process ends, however it ends; the file ``.lock`` may stay and says nothing.
+    The system lets go of it when the process ends, however it ends; the file ``.lock`` may stay and says nothing. A
+    folder that was made here goes again where what is done fails before it writes anything.
 
     Raises:
         ConfigError: Another run holds the folder, or a file cannot be written to it.
@@ -29,7 +30,7 @@ def only_writer(folder: Path) -> Iterator[None]:
         >>> with tempfile.TemporaryDirectory() as name, only_writer(Path(name)):
         ...     pass
     """
-    lock = FileLock(folder / _NAME, timeout=0)
+    lock, is_new = FileLock(folder / _NAME, timeout=0), not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock.acquire()
@@ -43,5 +44,11 @@ def only_writer(folder: Path) -> Iterator[None]:
         ) from error
     try:
         yield
+    except BaseException:
+        lock.release()
+        if is_new and [path.name for path in folder.iterdir()] in ([_NAME], []):
+            (folder / _NAME).unlink(missing_ok=True)
+            folder.rmdir()
+        raise
     finally:
         lock.release()

@@ -53,6 +53,11 @@ def read_ply(data: bytes, *, triangulate: bool = False) -> ParsedMesh:
     header = parse_header(data)
     read = _read_text if header.byte_order is None else _read_binary
     columns = read(data, header, triangulate)
+    if "tristrips" in columns and "face" not in columns:
+        raise MeshError(
+            "it holds triangle strips and no faces",
+            "open it in MeshLab and save it again, which makes triangles",
+        )
     vertex, face = columns.get("vertex", {}), columns.get("face", {})
     keep_even_lists(vertex)
     if not all(axis in vertex for axis in "xyz"):

@@ -175,8 +175,8 @@ class CascadeConfig:
         stages: In the order in which they run.
         refinement: Of the last stage's normals.
         vertex_iterations: Iterations of Eq. 6 after every pass.
-        fit_vertices: Whether the last update is followed by one that weighs normals against the first positions; see
-            ``_geom.fit_vertices``. Choice: docs/choices.md#vertex-fit.
+        pull: Of the first positions in what follows the last update, see ``_geom.fit_vertices``; ``None`` where nothing
+            follows. Choice: docs/choices.md#vertex-fit.
         keep_detail: Whether detail that was taken away with weak noise comes back; see ``_geom.keep_detail``.
         flat_passes: Passes of the last stage more on a mesh that is flat for a good part, before its last.
             It is looked for after the last pass but one, so that a cascade of one pass has none.
@@ -188,14 +188,15 @@ class CascadeConfig:
     vertex_iterations: int = VERTEX_ITERATIONS
     keep_detail: bool = False
     flat_passes: int = 0
-    fit_vertices: bool = False
+    pull: float | None = None
 
     def __post_init__(self) -> None:
         check_whole("vertex_iterations", self.vertex_iterations, 0, MOST_ITERATIONS)
         check_whole("flat_passes", self.flat_passes, 0, MOST_PASSES)
-        for name in ("keep_detail", "fit_vertices"):
-            if not isinstance(getattr(self, name), bool):
-                raise ConfigError(f"{name} is {getattr(self, name)!r}, allowed: True or False")
+        if not isinstance(self.keep_detail, bool):
+            raise ConfigError(f"keep_detail is {self.keep_detail!r}, allowed: True or False")
+        if self.pull is not None and not 0 <= self.pull < float("inf"):
+            raise ConfigError(f"pull is {self.pull}, allowed: 0 or more, or none")
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the configuration as JSON-ready values."""
@@ -211,7 +212,7 @@ class CascadeConfig:
                 vertex_iterations=values["vertex_iterations"],
                 keep_detail=values.get("keep_detail", False),
                 flat_passes=values.get("flat_passes", 0),
-                fit_vertices=values.get("fit_vertices", False),
+                pull=_number(values.get("pull")),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"cascade configuration does not fit: {error}") from error
@@ -252,11 +253,11 @@ class Cascade(nn.Module):
         vertex_iterations: int = VERTEX_ITERATIONS,
         keep_detail: bool = False,
         flat_passes: int = 0,
-        fit_vertices: bool = False,
+        pull: float | None = None,
     ) -> Cascade:
         """Makes a cascade with a copy of the weights of networks that were trained one after the other."""
         configs = tuple(config for config, _ in stages)
-        after = (refinement, vertex_iterations, keep_detail, flat_passes, fit_vertices)
+        after = (refinement, vertex_iterations, keep_detail, flat_passes, pull)
         cascade = cls(CascadeConfig(configs, *after))
         for own, (_, network) in zip(cascade.stages, stages, strict=True):
             own.load_state_dict(network.state_dict())

@@ -48,7 +48,7 @@ class Recipe:
         vertex_iterations: Of Eq. 6 after every pass.
         keep_detail: Whether detail that was taken away with weak noise comes back.
         flat_passes: Passes of the last stage more on flat meshes; see `gcnd.nn.cascade.CascadeConfig`.
-        fit_vertices: Whether the first positions count in the last update; see `gcnd.nn.cascade.CascadeConfig`.
+        pull: Of the first positions at the end; see `gcnd.nn.cascade.CascadeConfig`.
         most_stages: Where above the number of ``stages``, more like the last follow, up to so many, while each lowers
             the error of the validation meshes (`gcnd.train.further`).
     """
@@ -66,7 +66,7 @@ class Recipe:
     vertex_iterations: int = VERTEX_ITERATIONS
     keep_detail: bool = False
     flat_passes: int = 0
-    fit_vertices: bool = False
+    pull: float | None = None
     most_stages: int = 0
 
 
@@ -121,7 +121,7 @@ def _default(*steps: int, later: NetworkConfig = DEFAULT_LATER_NETWORK) -> Recip
         refinement=REFINE_FLAT,
         keep_detail=True,
         flat_passes=1,
-        fit_vertices=True,
+        pull=PULL,
     )
 
 
@@ -138,7 +138,7 @@ def _fast(*steps: int) -> Recipe:
         pool_size=400,
         refinement=REFINE_FLAT,
         keep_detail=True,
-        fit_vertices=True,
+        pull=PULL,
     )
 
 
@@ -151,6 +151,12 @@ Choice: docs/choices.md#scan-patches."""
 
 SCAN_VERTEX_ITERATIONS = 60
 """Noise wider than a face is taken away slowly. Choice: docs/choices.md#scan-vertex-updating."""
+
+
+PULL, SCAN_PULL = 0.0026, 0.0087
+"""A scanner's noise is shared by neighbours: there positions say more, and normals less.
+
+Choice: docs/choices.md#vertex-fit."""
 
 
 def _on_scans(recipe: Recipe, patch: dict[str, Any], **training: Any) -> Recipe:
@@ -179,6 +185,7 @@ def _scan(*steps: int) -> Recipe:
         vertex_iterations=SCAN_VERTEX_ITERATIONS,
         keep_detail=False,
         flat_passes=0,
+        pull=SCAN_PULL,
     )
 
 

@@ -117,7 +117,7 @@ class TrainingRun:
             recipe.vertex_iterations,
             recipe.keep_detail,
             recipe.flat_passes,
-            recipe.fit_vertices,
+            recipe.pull,
         )
         out = self.folder / f"{self.recipe.name}.safetensors"
         if self.is_first:
