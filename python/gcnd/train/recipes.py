@@ -153,7 +153,7 @@ SCAN_VERTEX_ITERATIONS = 60
 """Noise wider than a face is taken away slowly. Choice: docs/choices.md#scan-vertex-updating."""
 
 
-PULL, SCAN_PULL = 0.0026, 0.0087
+PULL, SCAN_PULL = 0.0026, 0.005
 """A scanner's noise is shared by neighbours: there positions say more, and normals less.
 
 Choice: docs/choices.md#vertex-fit."""
@@ -181,7 +181,7 @@ def _scan(*steps: int) -> Recipe:
         name="scan",
         description="wide patches, trained on simulated depth-camera frames, fused frames and scanned prints",
         pool_size=160,
-        refinement=replace(REFINE_WHERE_CONSISTENT, iterations=4, sigma_r=0.2),
+        refinement=replace(REFINE_WHERE_CONSISTENT, sigma_r=0.2),
         vertex_iterations=SCAN_VERTEX_ITERATIONS,
         keep_detail=False,
         flat_passes=0,
