@@ -33,15 +33,15 @@ test-python: $(MODULE)
 	$(BIN)/python -m pytest
 	$(BIN)/python -m pytest --doctest-modules --quiet python/gcnd
 
-test-large: $(MODULE)  ## ten million faces: some minutes and 6 GB of memory
-	GCND_LARGE=1 $(BIN)/python -m pytest tests/test_memory_limit.py
-
 lint: $(MODULE)
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --quiet -- -D warnings
 	$(BIN)/ruff format --check python tests benches scripts plugins
 	$(BIN)/ruff check python tests benches scripts plugins
 	$(BIN)/mypy
+
+test-large: $(MODULE)  ## ten million faces: some minutes and 6 GB of memory
+	GCND_LARGE=1 $(BIN)/python -m pytest tests/test_memory_limit.py
 
 bench: $(MODULE)
 	cargo bench --workspace

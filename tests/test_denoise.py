@@ -290,7 +290,7 @@ def test_other_things_that_are_no_mesh(preset: str, tmp_path: Path) -> None:
         ({"preserve_volume": "no"}, "preserve_volume is 'no', allowed: True or False"),
         (
             {"preset": "papers"},
-            "unknown preset 'papers', allowed: auto, default, fast, paper, scan or the path",
+            "unknown preset 'papers', allowed: auto, default, fast, paper, paper-scan, scan or the path",
         ),
         ({"device": "gpu7"}, "unknown device 'gpu7'"),
     ],

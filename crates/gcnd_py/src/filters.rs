@@ -105,7 +105,7 @@ pub fn update_vertices<'py>(
 }
 
 #[pyfunction]
-#[pyo3(signature = (topology, vertices, normals, first, boundary="free", *, pull=vertex_fit::PULL, progress=None))]
+#[pyo3(signature = (topology, vertices, normals, first, boundary="free", *, pull=0.0026, progress=None))]
 #[allow(clippy::too_many_arguments, reason = "arguments of the Python signature")]
 pub fn fit_vertices<'py>(
     py: Python<'py>,

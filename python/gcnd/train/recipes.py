@@ -211,10 +211,11 @@ def _paper(steps: int, later_steps: int) -> Recipe:
 
 
 def _paper_scan(*steps: int) -> Recipe:
-    """The paper's networks as it trains them for scanners: k = 8, 256 nodes (paper Sec. 7.5)."""
+    """The paper's networks as it trains them for scanners: k = 8, 256 nodes, m = 12 (paper Sec. 7.5, 6.1)."""
     return replace(
         _on_scans(_paper(*steps), SCAN_PATCH),
         name="paper-scan",
+        refinement=RefinementConfig(iterations=12),
         description="the paper's two networks with its patches for scanners, on simulated scans",
     )
 

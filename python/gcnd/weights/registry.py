@@ -26,7 +26,7 @@ _FOLDER = Path(__file__).parent
 _CARD = {"description": str, "n_parameters": int, "licence": str, "sha256": str}
 """What every card must say."""
 
-_SHIPPED = ("default", "fast", "paper", "scan")
+_SHIPPED = ("default", "fast", "paper", "paper-scan", "scan")
 """Presets with weights in the package: ``<name>.safetensors`` with its card ``<name>.json``."""
 
 
