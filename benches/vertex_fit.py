@@ -22,6 +22,7 @@ from gcnd.metrics import normal_error
 from gcnd.nn.cascade import Cascade
 from gcnd.predict import refined
 from gcnd.train.corpus import VALIDATION_SEED, generated_shapes
+from gcnd.train.recipes import PULL
 from gcnd.weights import load_cascade
 
 NOISE_SEED = 11
@@ -51,7 +52,9 @@ def variants(truth: Truth, noisy: np.ndarray, cascade: Cascade) -> Iterator[tupl
     ):
         normals = refined(topology, vertices, prediction, refinement)
         moved = _geom.update_vertices(topology, vertices, normals, config.vertex_iterations, "along")
-        fitted = _geom.fit_vertices(topology, moved, normals, noisy, "along")
+        fitted = _geom.fit_vertices(
+            topology, moved, normals, noisy, "along", pull=PULL if config.pull is None else config.pull
+        )
         for name, result in (("Eq. 6", moved), ("Eq. 6, fit", fitted)):
             yield f"{name}, refined: {where}", normal_error(result, truth.vertices, truth.faces)
 

@@ -22,11 +22,17 @@ def told(work):
         return f"{error} / {error.hint}"
     return "done"
 
+def noise():
+    gcnd.data.noise.add_noise(V, F, level=0.1)
+
 def child(queue):
-    queue.put(told(lambda: gcnd.Denoiser("fast")) if kind == "load" else told(lambda: denoiser((V, F))))
+    queue.put(told(noise) if kind == "noise" else told(lambda: gcnd.Denoiser("fast")) if kind == "load" else told(lambda: denoiser((V, F))))
 
 kind = sys.argv[1]
-if kind != "unused":
+if kind == "noise":
+    import gcnd.data.noise
+    noise()
+elif kind != "unused":
     denoiser = gcnd.Denoiser("fast")
 if kind == "used":
     denoiser((V, F))
@@ -43,7 +49,7 @@ process.join(60)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks here")
-@pytest.mark.parametrize("kind", ["load", "fresh", "used", "unused"])
+@pytest.mark.parametrize("kind", ["load", "fresh", "used", "noise", "unused"])
 def test_a_fork_is_refused_once_its_parent_has_run_anything(kind: str) -> None:
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", PROGRAM, kind],

@@ -70,8 +70,9 @@ def test_a_mesh_takes_no_more_than_is_stated(preset: str, sides: tuple[int, int]
     assert large > 0.3 * program
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of peak memory in kibibytes")
 @pytest.mark.skipif("GCND_LARGE" not in os.environ, reason="takes some minutes and 6 GB: make test-large")
-def test_ten_million_faces_take_less_than_twelve_gigabytes() -> None:
+def test_ten_million_faces_take_less_than_six_gigabytes() -> None:
     faces, peak = measured(2237, "fast")
     assert faces > 10_000_000
     assert peak < 6e9, f"{faces:,} faces took {peak / 1e9:.1f} GB beside the code"

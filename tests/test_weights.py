@@ -207,7 +207,9 @@ def test_tensors_that_do_not_fit_are_named(path: Path, change: str) -> None:
 def test_an_unknown_preset(preset: str) -> None:
     """Preset "auto" is named where it is one: it stands for weights, and is no file of them."""
     refused(
-        preset, "unknown preset .*, allowed: (auto, )?default, fast, paper, paper-scan, scan or the path", ConfigError
+        preset,
+        "unknown preset .*, allowed: (auto, )?default, fast, paper, paper-scan, scan or the path",
+        ConfigError,
     )
     with pytest.raises(ConfigError, match=": default, fast"):
         load_cascade(preset)

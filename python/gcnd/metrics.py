@@ -8,6 +8,7 @@ import numpy as np
 
 from gcnd import _geom
 from gcnd.errors import check_count
+from gcnd.forks import refuse_fork
 from gcnd.mesh_io import to_arrays
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ def normal_angles(
     Paper: Sec. 7.2, Eq. 7, before averaging.
     """
     meshes = [to_arrays((vertices, faces))[0] for vertices in (result_vertices, truth_vertices)]
+    refuse_fork()
     result, truth = (_geom.face_geometry(mesh.vertices, mesh.faces)[0] for mesh in meshes)
     return _geom.normal_angles(result, truth)
 
@@ -98,4 +100,5 @@ def vertex_error(
     samples, seed = check_count("samples", samples), check_count("seed", seed)
     result, _ = to_arrays((result_vertices, result_faces))
     truth, _ = to_arrays((truth_vertices, truth_faces))
+    refuse_fork()
     return _geom.vertex_error(result.vertices, result.faces, truth.vertices, truth.faces, samples, seed)

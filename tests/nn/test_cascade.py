@@ -84,7 +84,9 @@ def test_weights_from_before_keep_no_detail_and_fit_no_vertices() -> None:
     assert CascadeConfig.from_dict(values) == replace(CONFIG, keep_detail=False, pull=None)
     for name, wrong, message in (
         ("keep_detail", 1, "keep_detail is 1, allowed: True or False"),
-        ("pull", -0.1, "pull is -0.1, allowed: 0 or more, or none"),
+        ("pull", -0.1, "pull is -0.1, allowed: a number, 0 to 1000"),
+        ("pull", True, "pull is True"),
+        ("pull", "0.1", "pull is '0.1'"),
         ("pull", float("nan"), "pull is nan"),
     ):
         with pytest.raises(ConfigError, match=message):

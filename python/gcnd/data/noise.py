@@ -11,6 +11,7 @@ from scipy import sparse
 
 from gcnd import start
 from gcnd.errors import ConfigError, MeshError
+from gcnd.forks import refuse_fork
 
 FloatArray = npt.NDArray[np.float64]
 FaceArray = npt.NDArray[np.uint32]
@@ -143,6 +144,7 @@ class NoiseSource:
     """
 
     def __init__(self, vertices: FloatArray, faces: FaceArray) -> None:
+        refuse_fork()
         self._clean = np.asarray(vertices, dtype=np.float64)
         # Adding zero turns -0.0 into 0.0, so that both are one position.
         welded, inverse = np.unique(self._clean + 0.0, axis=0, return_inverse=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -20,7 +20,7 @@ def only_writer(folder: Path) -> Iterator[None]:
     """Hold a folder, which is made if missing, so that a second run in it is refused.
 
     The system lets go of it when the process ends, however it ends; the file ``.lock`` may stay and says nothing. A
-    folder that was made here goes again where what is done fails before it writes anything.
+    folder that was made here goes again, without those above it, where what is done fails before it writes anything.
 
     Raises:
         ConfigError: Another run holds the folder, or a file cannot be written to it.
@@ -45,10 +45,11 @@ def only_writer(folder: Path) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        lock.release()
-        if is_new and [path.name for path in folder.iterdir()] in ([_NAME], []):
-            (folder / _NAME).unlink(missing_ok=True)
-            folder.rmdir()
+        # Before others may have it; what cannot be removed stays, and what failed is told.
+        with suppress(OSError):
+            if is_new and [path.name for path in folder.iterdir()] in ([_NAME], []):
+                (folder / _NAME).unlink(missing_ok=True)
+                folder.rmdir()
         raise
     finally:
         lock.release()

@@ -103,7 +103,8 @@ def parse_header(data: bytes) -> PlyHeader:
         raise MeshError("its header has no end_header line", DAMAGED_HINT)
     header = PlyHeader(None, [], None, end_line.end())
     has_format = False
-    for line in data[: end_line.start()].decode("utf-8", errors="replace").splitlines()[1:]:
+    for raw in data[: end_line.start()].splitlines()[1:]:
+        line = raw.decode("utf-8", errors="replace")
         words = line.split()
         try:
             has_format |= _read_line(words, header, line)

@@ -146,7 +146,8 @@ class RefinementConfig:
             Choice: docs/choices.md#refinement.
         largest_spread: What overlapping predictions disagree by counts at most this much, in radians; where they
             disagree by more, it is detail that they disagree about. ``None`` sets no limit.
-        flat_only: Refine only meshes that are flat for a good part. Choice: docs/choices.md#flat-meshes.
+        flat_only: Refine only meshes that are flat for a good part before the last pass, so that a cascade of one pass
+            hardly refines a noisy mesh. Choice: docs/choices.md#flat-meshes.
     """
 
     iterations: int = 1
@@ -195,8 +196,8 @@ class CascadeConfig:
         check_whole("flat_passes", self.flat_passes, 0, MOST_PASSES)
         if not isinstance(self.keep_detail, bool):
             raise ConfigError(f"keep_detail is {self.keep_detail!r}, allowed: True or False")
-        if self.pull is not None and not 0 <= self.pull < float("inf"):
-            raise ConfigError(f"pull is {self.pull}, allowed: 0 or more, or none")
+        if self.pull is not None:
+            check_real("pull", self.pull, 0.0, 1000.0)
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the configuration as JSON-ready values."""
@@ -212,7 +213,7 @@ class CascadeConfig:
                 vertex_iterations=values["vertex_iterations"],
                 keep_detail=values.get("keep_detail", False),
                 flat_passes=values.get("flat_passes", 0),
-                pull=_number(values.get("pull")),
+                pull=values.get("pull"),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ConfigError(f"cascade configuration does not fit: {error}") from error

@@ -83,10 +83,10 @@ class NetworkConfig:
 
     @property
     def bytes_a_node(self) -> int:
-        """What a run of the network takes for a node: a float32 for each channel of every layer, half as much again as
-        was measured (docs/limits.md)."""
+        """What a run of the network takes for a node at most: two float32 for each channel of every layer, 1.4 to 3
+        times what was measured (docs/limits.md)."""
         layers = (*self.static_channels, *self.dynamic_channels, self.pool_channels, *self.head_channels)
-        return 4 * sum(layers)
+        return 8 * sum(layers)
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the configuration as JSON-ready values."""

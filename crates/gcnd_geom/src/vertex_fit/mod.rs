@@ -26,7 +26,7 @@ pub const PULL: f64 = 0.0026;
 /// E(v) = Σ_f Σ_{edges ij of f} ½ cot α_ij (n_f · (v_i − v_j))² + Σ_i (λ_i (m_i · (v_i − r_i))² + μ |(v_i − r_i)_t|²)
 ///
 /// The first sum is Eq. 6's, Σ (n_f · (v_i − v_j))², with the weight of an edge that makes it independent of the
-/// triangle's shape: for one face it is A_f tan² of its angle to n_f, where Eq. 6 lets the longest edges of a sliver
+/// triangle's shape: for one face it is A_f sin² of its angle to n_f, where Eq. 6 lets the longest edges of a sliver
 /// decide. α_ij is the corner opposite ij. The second sum holds low waves, which noise of each vertex's own hardly has
 /// and normals hardly tell: r are the positions before denoising, m_i the mean of the normals around i, weighted by
 /// area, and t is what is across m_i. With d_i = m_i · (r_i − v_i) at the start, σ = 1.4826 median |d_i| and ē the mean
