@@ -26,7 +26,8 @@ def noise():
     gcnd.data.noise.add_noise(V, F, level=0.1)
 
 def child(queue):
-    queue.put(told(noise) if kind == "noise" else told(lambda: gcnd.Denoiser("fast")) if kind == "load" else told(lambda: denoiser((V, F))))
+    work = {"noise": noise, "load": lambda: gcnd.Denoiser("fast")}.get(kind, lambda: denoiser((V, F)))
+    queue.put(told(work))
 
 kind = sys.argv[1]
 if kind == "noise":
